@@ -1,0 +1,1 @@
+"""Templates of dataset cards, installed as ``lerobot_demohlm.dataset_cards``."""

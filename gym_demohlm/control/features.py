@@ -1,0 +1,109 @@
+"""What the whole-body policy sees and does: the layout of its observation and action, shared by training and run time.
+
+Only signals that a real G1 has: gyro, gravity in the pelvis frame, joint positions and velocities, the last action, the
+arm targets, the command and the gait clock.
+"""
+
+import numpy as np
+
+from gym_demohlm.robot import g1
+
+WRIST_JOINTS = tuple(joint for joint in g1.ARM_JOINTS if "wrist" in joint)
+OBSERVED_JOINTS = tuple(joint for joint in g1.BODY_JOINTS if joint not in WRIST_JOINTS)  # 23: wrists matter little
+DRIVEN_JOINTS = g1.LEG_JOINTS + g1.WAIST_JOINTS  # 15
+OBSERVED_ARM_JOINTS = tuple(joint for joint in g1.ARM_JOINTS if joint not in WRIST_JOINTS)  # 8
+OBSERVED_INDEX = np.array([g1.BODY_JOINTS.index(joint) for joint in OBSERVED_JOINTS])
+OBSERVED_ARM_INDEX = np.array([g1.ARM_JOINTS.index(joint) for joint in OBSERVED_ARM_JOINTS])
+
+HISTORY = 3  # control ticks, oldest first
+FRAME_SIZE = 6 + 2 * len(OBSERVED_JOINTS)
+ACTION_SIZE = len(DRIVEN_JOINTS)
+OBSERVATION_SIZE = HISTORY * FRAME_SIZE + ACTION_SIZE + len(OBSERVED_ARM_JOINTS) + 7 + 3
+ACTION_SCALE = np.array([0.30, 0.20, 0.20, 0.35, 0.30, 0.20] * 2 + [0.20, 0.20, 0.25])  # rad for an action of 1
+ACTION_LIMIT = 4.0
+
+_GYRO_SCALE, _VELOCITY_SCALE = 0.25, 0.05
+_COMMAND_SCALE = np.array([1, 1, 1, 5, 1, 1, 1.0])
+_COMMAND_OFFSET = np.array([0, 0, 0, 0.7, 0, 0, 0.0])
+
+
+def gravity(quat_wxyz: np.ndarray) -> np.ndarray:
+    """Return the direction of gravity in the body frame, (N, 4) -> (N, 3)."""
+    w, x, y, z = quat_wxyz.T
+    return np.stack([2 * (w * y - x * z), -2 * (y * z + w * x), 2 * (x * x + y * y) - 1], axis=1)
+
+
+def frame(quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    """Return one tick of proprioception, (N, FRAME_SIZE).
+
+    Args:
+        quat_wxyz: (N, 4) pelvis orientation; only its gravity direction is used.
+        gyro: (N, 3) pelvis angular velocity in the pelvis frame [rad/s].
+        q: (N, 23) positions of OBSERVED_JOINTS [rad].
+        dq: (N, 23) their velocities [rad/s].
+    """
+    return np.concatenate([_GYRO_SCALE * gyro, gravity(quat_wxyz), q, _VELOCITY_SCALE * dq], axis=1)
+
+
+def observation(
+    history: np.ndarray,
+    last_action: np.ndarray,
+    arm_targets: np.ndarray,
+    command: np.ndarray,
+    phase: np.ndarray,
+    standing: np.ndarray,
+) -> np.ndarray:
+    """Return the policy's observation, (N, OBSERVATION_SIZE).
+
+    Args:
+        history: (N, HISTORY, FRAME_SIZE).
+        last_action: (N, 15).
+        arm_targets: (N, 8) [rad].
+        command: (N, 7 or more), slewed.
+        phase: (N,) gait clock.
+        standing: (N,) bool.
+    """
+    walking = (~standing).astype(np.float64)
+    clock = [np.sin(2 * np.pi * phase) * walking, np.cos(2 * np.pi * phase) * walking, standing.astype(np.float64)]
+    command = (command[:, :7] - _COMMAND_OFFSET) * _COMMAND_SCALE
+    rows = len(history)
+    return np.concatenate([history.reshape(rows, -1), last_action, arm_targets, command, np.stack(clock, axis=1)], axis=1)
+
+
+def _mirror_joints(joints: tuple[str, ...]) -> tuple[list[int], list[float]]:
+    swap = {"left": "right", "right": "left", "waist": "waist"}
+    source = [joints.index(swap[joint.split("_")[0]] + joint[len(joint.split("_")[0]) :]) for joint in joints]
+    sign = [-1.0 if ("roll" in joint or "yaw" in joint) else 1.0 for joint in joints]
+    return source, sign
+
+
+def _join(blocks: list[tuple[list[int], list[float]]]) -> tuple[np.ndarray, np.ndarray]:
+    source: list[int] = []
+    sign: list[float] = []
+    for block_source, block_sign in blocks:
+        source += [len(source) + index for index in block_source]  # evaluated before the list grows
+        sign += block_sign
+    return np.array(source), np.array(sign, dtype=np.float32)
+
+
+_FRAME_MIRROR = [
+    ([0, 1, 2], [-1.0, 1.0, -1.0]),  # gyro
+    ([0, 1, 2], [1.0, -1.0, 1.0]),  # gravity
+    _mirror_joints(OBSERVED_JOINTS),
+    _mirror_joints(OBSERVED_JOINTS),
+]
+COMMAND_MIRROR: tuple[list[int], list[float]] = (list(range(7)), [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+_CLOCK_MIRROR: tuple[list[int], list[float]] = ([0, 1, 2], [-1.0, -1.0, 1.0])  # half a period later
+
+# mirrored[:, i] = sign[i] * x[:, source[i]]: the observation and action of the robot seen in a mirror.
+OBSERVATION_MIRROR = _join(
+    _FRAME_MIRROR * HISTORY
+    + [_mirror_joints(DRIVEN_JOINTS), _mirror_joints(OBSERVED_ARM_JOINTS), COMMAND_MIRROR, _CLOCK_MIRROR]
+)
+ACTION_MIRROR = _join([_mirror_joints(DRIVEN_JOINTS)])
+
+
+def mirror(values: np.ndarray, table: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Mirror rows left to right, (N, D) -> (N, D)."""
+    source, sign = table
+    return values[:, source] * sign

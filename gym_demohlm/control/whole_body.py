@@ -1,0 +1,179 @@
+"""Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller at run time, batched, NumPy only.
+
+A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
+differently with the number of rows, so rows are padded to blocks of 16 and every block goes through the same kernel.
+"""
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm.control import command, features, reference
+from gym_demohlm.errors import SceneError
+from gym_demohlm.robot import g1
+
+DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
+WEIGHTS_FORMAT = 1
+_BLOCK = 16
+_HISTORY = features.HISTORY * features.FRAME_SIZE
+_SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
+_CLOCK = _SLEWED.stop
+STATE_SIZE = _CLOCK + 3  # history, last action, slewed command, phase, stopped, standing
+
+
+class Weights:
+    """The exported policy: layers, normaliser, quasi-static table and metadata.
+
+    Args:
+        path: An ``.npz`` written by ``gym_demohlm.wbc.export``. Nothing in it is executed or unpickled.
+
+    Attributes:
+        metadata: How it was trained and what it expects.
+        hash: SHA-256 of the file.
+
+    Raises:
+        SceneError: The file is missing, damaged, or of another format.
+    """
+
+    def __init__(self, path: Path = DEFAULT_WEIGHTS) -> None:
+        try:
+            content = path.read_bytes()
+            with np.load(path, allow_pickle=False) as arrays:
+                loaded = {name: arrays[name] for name in arrays.files}
+            self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
+            layers = int(self.metadata["layers"])
+            self.layers = [(loaded[f"weight_{i}"], loaded[f"bias_{i}"]) for i in range(layers)]
+            self.mean, self.scale, self.shift_table = loaded["mean"], loaded["scale"], loaded["shift_table"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise SceneError(
+                f"controller weights {path.name} that cannot be read ({error})",
+                "an .npz file exported by demohlm train-controller",
+                "reinstall the package, or export the weights again",
+            ) from error
+        found = (self.metadata.get("format"), self.metadata.get("observation_size"))
+        if found != (WEIGHTS_FORMAT, features.OBSERVATION_SIZE):
+            raise SceneError(
+                f"controller weights of format {found[0]} for {found[1]} observations",
+                f"format {WEIGHTS_FORMAT} for {features.OBSERVATION_SIZE}",
+                "train or install weights for this version",
+            )
+        self.hash = hashlib.sha256(content).hexdigest()
+
+
+def _elu(x: np.ndarray) -> np.ndarray:
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+
+
+class WholeBodyController:
+    """N whole-body controllers.
+
+    Args:
+        num_worlds: N.
+        weights: File of the exported policy; the one in the package by default.
+
+    Attributes:
+        state: (N, STATE_SIZE) all that the controllers remember; assign to it to restore an earlier moment.
+    """
+
+    def __init__(self, num_worlds: int, weights: Path | None = None) -> None:
+        self.weights = Weights(weights or DEFAULT_WEIGHTS)
+        self.reference = reference.Reference(self.weights.shift_table)
+        self.state = np.zeros((num_worlds, STATE_SIZE))
+        ranges = g1.joint_ranges(g1.read_mjcf())
+        self._lower, self._upper = ranges[:, 0], ranges[:, 1]
+
+    def reset(
+        self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray
+    ) -> None:
+        """Start the controllers of some worlds anew, standing at rest.
+
+        Args:
+            worlds: (M,) indices.
+            quat_wxyz: (M, 4) pelvis orientation in the world.
+            gyro: (M, 3) pelvis angular velocity in the pelvis frame [rad/s].
+            q: (M, 29) positions of ``g1.BODY_JOINTS`` [rad].
+            dq: (M, 29) their velocities [rad/s].
+        """
+        seen = features.OBSERVED_INDEX
+        frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
+        state = np.zeros((len(worlds), STATE_SIZE))
+        state[:, :_HISTORY] = np.tile(frame, (1, features.HISTORY))
+        state[:, _SLEWED] = command.rest()[:7]
+        state[:, _CLOCK:] = [reference.REST_PHASES[0], 2.0, 1.0]
+        self.state[worlds] = state
+
+    def step(
+        self,
+        quat_wxyz: np.ndarray,
+        gyro: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        commands: np.ndarray,
+        worlds: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Advance by one tick of 0.02 s.
+
+        Args:
+            quat_wxyz: (M, 4) pelvis orientation; only its gravity direction is used.
+            gyro: (M, 3) pelvis angular velocity in the pelvis frame [rad/s].
+            q: (M, 29) positions of ``g1.BODY_JOINTS`` [rad].
+            dq: (M, 29) their velocities [rad/s].
+            commands: (M, 23) within their bounds; velocity and torso are slewed here, arms pass through.
+            worlds: (M,) which worlds these rows belong to; all by default.
+
+        Returns:
+            Joint targets (M, 29) [rad].
+        """
+        chosen = slice(None) if worlds is None else worlds
+        state = self.state[chosen]
+        rows, seen = len(state), features.OBSERVED_INDEX
+        frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
+        history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], frame], axis=1)
+        current, stands = state[:, _SLEWED], state[:, _CLOCK + 2] > 0.5
+        slewed = reference.slew(current, reference.admissible(commands, current, stands))
+        phase, stopped, standing = reference.advance_clock(
+            state[:, _CLOCK], state[:, _CLOCK + 1], stands, slewed[:, :3]
+        )
+        arms = commands[:, command.ARMS]
+        observed = features.observation(
+            history.reshape(rows, features.HISTORY, features.FRAME_SIZE),
+            state[:, _HISTORY : _HISTORY + features.ACTION_SIZE],
+            arms[:, features.OBSERVED_ARM_INDEX],
+            slewed,
+            phase,
+            standing,
+        )
+        action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
+        self.state[chosen] = np.concatenate(
+            [history, action, slewed, np.stack([phase, stopped, standing.astype(np.float64)], axis=1)], axis=1
+        )
+        lower = self.reference(slewed, phase, standing) + action * features.ACTION_SCALE
+        return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
+
+    def _act(self, observed: np.ndarray) -> np.ndarray:
+        """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
+        rows = len(observed)
+        half = _BLOCK // 2
+        padded = np.zeros((-(-rows // half) * half, features.OBSERVATION_SIZE), dtype=np.float32)
+        padded[:rows] = observed
+        latent = np.clip((padded - self.weights.mean) * self.weights.scale, -6.0, 6.0)
+        mirrored = features.mirror(latent, features.OBSERVATION_MIRROR)
+        actions = np.empty((len(padded), features.ACTION_SIZE))
+        for first in range(0, len(padded), half):
+            rows_here = slice(first, first + half)
+            output = self._network(np.concatenate([latent[rows_here], mirrored[rows_here]]))
+            actions[rows_here] = 0.5 * (output[:half] + features.mirror(output[half:], features.ACTION_MIRROR))
+        return actions[:rows]
+
+    def _network(self, block: np.ndarray) -> np.ndarray:
+        """Apply the layers to one block, (16, OBSERVATION_SIZE) -> (16, 15), float32."""
+        last = len(self.weights.layers) - 1
+        for index, (weight, bias) in enumerate(self.weights.layers):
+            block = block @ weight + bias
+            if index < last:
+                block = _elu(block)
+        return block

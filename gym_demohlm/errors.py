@@ -1,0 +1,48 @@
+"""Every exception of the project: what was got, what was expected, and what to do about it."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class DemoHLMError(Exception):
+    """Base of all errors a user can cause; the command line turns it into one line and exit code 2.
+
+    Args:
+        got: What was found.
+        expected: What should have been there.
+        remedy: What the user can do.
+    """
+
+    def __init__(self, got: str, expected: str, remedy: str) -> None:
+        super().__init__(f"got {got}; expected {expected}; {remedy}")
+        self.got, self.expected, self.remedy = got, expected, remedy
+
+
+class UnknownNameError(DemoHLMError):
+    """A name (of a task, a region, a policy, ...) that is not registered."""
+
+    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+        names = sorted(available)
+        close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        remedy = f"did you mean {close[0]!r}?" if close else "choose one of these"
+        super().__init__(f"{kind} {name!r}", f"one of {', '.join(names)}", remedy)
+
+
+class CommandError(DemoHLMError):
+    """A command to the whole-body controller with a wrong shape or values that are not finite."""
+
+
+class SceneError(DemoHLMError):
+    """A scene, robot description or controller that cannot be built or loaded."""
+
+
+class DemonstrationError(DemoHLMError):
+    """A demonstration that cannot be read, or that does not fit its task."""
+
+
+class DatasetError(DemoHLMError):
+    """A dataset root that exists already, is damaged, or was written by another version."""
+
+
+class PolicyError(DemoHLMError):
+    """A policy checkpoint or configuration that does not fit the environment."""

@@ -1,0 +1,1 @@
+"""The G1: its motors, hands, neck and kinematic description."""

@@ -1,0 +1,264 @@
+"""Task and robot -> one compiled MuJoCo model, with the addresses of its joints, objects and sensors found by name."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.robot import g1, neck
+from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
+from gym_demohlm.task import InitialState, ObjectSpec, Task
+
+OVERVIEW_CAMERA = "overview"
+HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
+"""The body whose subtree is a hand, palm or gripper with it."""
+
+FRAME_ALIASES = {"torso": "torso_link"}
+"""Short names of frames -> names in the MJCF; every body or site name is a frame name too."""
+
+_CONTACT_SLOTS = 8  # the strongest contacts of a pair; their normal forces are summed
+_MAX_FORCE = 2  # a contact sensor's reduction: keep the contacts with the largest force
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """How an object's pose is set: at the qpos address of its free joint, or as a mocap body."""
+
+    spec: ObjectSpec
+    qpos_address: int | None
+    mocap_index: int | None
+
+
+class Scene:
+    """One task's compiled model with its addresses; nothing in it changes after construction.
+
+    Attributes:
+        task: The task.
+        model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
+        base_qpos: Address of the pelvis pose in qpos (7 numbers: position, quaternion wxyz).
+        base_qvel: Address of the pelvis velocity in qvel (6 numbers: linear in the world, angular in the pelvis frame).
+        body_qpos, body_qvel: (29,) addresses of the body joints in g1.BODY_JOINTS order.
+        neck_qpos, neck_qvel: (2,) of the neck joints, yaw and pitch.
+        jaw_qpos, jaw_qvel: (2,) of the left and right gripper jaw; empty with rubber hands.
+        num_grippers: Controls are the body's, the neck's, then so many grippers'.
+        contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs.
+        collision_address: (obstacles, slots) the same between the robot and task.obstacles.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        spec = _build_spec(task)
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            raise SceneError(
+                f"a scene of {task.name} that does not compile ({error})", "a valid MjSpec", "mend its build function"
+            ) from error
+        model = self.model
+        base = model.joint("floating_base_joint")
+        self.base_qpos, self.base_qvel = int(base.qposadr[0]), int(base.dofadr[0])
+        self.body_qpos, self.body_qvel = self._joints([f"{joint}_joint" for joint in g1.BODY_JOINTS])
+        self.neck_qpos, self.neck_qvel = self._joints([f"{joint}_joint" for joint in neck.NECK_JOINTS])
+        jaws = GRIPPER_JOINTS if task.hands == "gripper" else ()
+        self.jaw_qpos, self.jaw_qvel = self._joints([f"{jaw}_joint" for jaw in jaws])
+        self.num_grippers = len(jaws)
+        self._check_actuators()
+        self.contact_address = self._forces([_contact_name(side, name) for side, name in task.contact_pairs])
+        self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
+        self._placements = tuple(self._placement(entry) for entry in task.objects)
+        bodies = {model.body(index).name: ("body", index) for index in range(model.nbody)}
+        sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
+        self._frames = bodies | sites
+        self._frames |= {alias: self._frames[name] for alias, name in FRAME_ALIASES.items()}
+        self._supports = tuple(self._mocap_index(name) for name in task.supports)
+
+    def frame(self, name: str) -> tuple[str, int]:
+        """Return ("site" | "body", id) of a frame name.
+
+        Raises:
+            UnknownNameError: The model has no such body or site.
+        """
+        if name not in self._frames:
+            raise UnknownNameError("frame", name, self._frames)
+        return self._frames[name]
+
+    def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Turn an initial state into positions: robot at rest on its feet, objects and their supports where it says.
+
+        Returns:
+            qpos (nq,), mocap positions (nmocap, 3) [m], mocap quaternions (nmocap, 4) wxyz.
+
+        Raises:
+            SceneError: The state lacks "robot" or "object", or they are not three finite numbers each.
+        """
+        (x, y, yaw), (dy, dz, dyaw) = (_three_numbers(initial_state, key) for key in ("robot", "object"))
+        model = self.model
+        qpos = model.qpos0.copy()
+        qpos[self.base_qpos : self.base_qpos + 7] = x, y, g1.PELVIS_HEIGHT, *_yaw_quat(yaw)
+        qpos[self.body_qpos] = g1.HOME
+        mocap_bodies = np.argsort(model.body_mocapid, kind="stable")[model.nbody - model.nmocap :]
+        mocap_pos = model.body_pos[mocap_bodies].copy()
+        mocap_quat = model.body_quat[mocap_bodies].copy()
+        for placement in self._placements:
+            entry = placement.spec
+            moved = (dy, dz, dyaw) if entry.placed else (0.0, 0.0, 0.0)
+            position = np.array(entry.position)
+            position[1:] += moved[:2]
+            quat = _yaw_quat(entry.yaw + moved[2])
+            if placement.qpos_address is not None:
+                qpos[placement.qpos_address : placement.qpos_address + 7] = *position, *quat
+            else:
+                mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
+        for index in self._supports:
+            mocap_pos[index, 2] += dz
+        return qpos, mocap_pos, mocap_quat
+
+    def _joints(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        joints = [self.model.joint(name) for name in names]
+        addresses = [(joint.qposadr[0], joint.dofadr[0]) for joint in joints]
+        columns = np.array(addresses, dtype=np.int64).reshape(-1, 2)
+        return columns[:, 0].copy(), columns[:, 1].copy()
+
+    def _check_actuators(self) -> None:
+        found = [self.model.actuator(index).name for index in range(self.model.nu)]
+        expected = list(actuator_names(self.task.hands))
+        if found != expected:
+            raise SceneError(f"actuators {found}", f"the robot's alone: {expected}", "let a task add none")
+
+    def _forces(self, names: Sequence[str]) -> np.ndarray:
+        starts = np.array([self.model.sensor(name).adr[0] for name in names], dtype=np.int64).reshape(-1, 1)
+        return starts + 3 * np.arange(_CONTACT_SLOTS)  # a contact force's first component is the normal one
+
+    def _placement(self, spec: ObjectSpec) -> _Placement:
+        body = self._body(spec.name)
+        first = int(body.jntadr[0])
+        if first >= 0 and self.model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
+            return _Placement(spec, int(self.model.jnt_qposadr[first]), None)
+        return _Placement(spec, None, self._mocap_index(spec.name))
+
+    def _mocap_index(self, name: str) -> int:
+        index = int(self._body(name).mocapid[0])
+        if index < 0:
+            raise SceneError(f"a body {name!r} that cannot be moved", "a free joint or a mocap body", "set mocap=True")
+        return index
+
+    def _body(self, name: str) -> mujoco._structs._MjModelBodyViews:
+        try:
+            return self.model.body(name)
+        except KeyError:
+            names = [self.model.body(index).name for index in range(self.model.nbody)]
+            raise UnknownNameError("body", name, names) from None
+
+
+def build_scene(task: Task) -> Scene:
+    """Build and compile the scene of a task."""
+    return Scene(task)
+
+
+def _build_spec(task: Task) -> mujoco.MjSpec:
+    spec = robot_spec(task.hands)
+    spec.modelname = task.name
+    _add_surroundings(spec)
+    task.build(spec)
+    for side, name in task.contact_pairs:
+        _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
+    for name in task.obstacles:
+        _add_contact_sensor(spec, _collision_name(name), "pelvis", name)
+    return spec
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Add floor, sky, light, the overview camera, and an image buffer of 640x480."""
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = 640, 480
+    visual.quality.offsamples = 0  # multisampling costs most of a frame in software
+    visual.headlight.ambient, visual.headlight.diffuse = [0.35, 0.35, 0.35], [0.45, 0.45, 0.45]
+    visual.map.znear, visual.quality.shadowsize = 0.01, 4096
+    spec.stat.center, spec.stat.extent = [-0.2, 0.0, 0.5], 2.5  # m: what shadows and clipping planes are fitted to
+    builtin = mujoco.mjtBuiltin
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=builtin.mjBUILTIN_GRADIENT,
+        rgb1=[0.86, 0.90, 0.94],
+        rgb2=[0.55, 0.66, 0.76],
+        width=128,
+        height=768,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=builtin.mjBUILTIN_CHECKER,
+        rgb1=[0.60, 0.62, 0.64],
+        rgb2=[0.54, 0.56, 0.58],
+        width=256,
+        height=256,
+    )
+    material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, reflectance=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    world = spec.worldbody
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[10, 10, 0.1],
+        material="floor",
+        contype=g1.WORLD_BIT,
+        conaffinity=g1.ROBOT_BIT | g1.WORLD_BIT,
+        condim=3,
+        friction=[0.8, 0.005, 0.0001],
+    )
+    world.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 4],
+        dir=[-0.3, 0.4, -0.9],
+        diffuse=[0.5, 0.5, 0.5],
+        castshadow=True,
+    )
+    eye, target = np.array([1.55, -1.95, 1.35]), np.array([-0.3, 0.1, 0.55])
+    world.add_camera(name=OVERVIEW_CAMERA, pos=eye, quat=_look_at(eye, target), fovy=45)
+
+
+def _add_contact_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_XBODY,  # a whole subtree
+        objname=subtree,
+        reftype=mujoco.mjtObj.mjOBJ_XBODY,
+        refname=body,
+        intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, _MAX_FORCE, _CONTACT_SLOTS],
+    )
+
+
+def _contact_name(side: str, name: str) -> str:
+    return f"contact_{side}_{name}"
+
+
+def _collision_name(name: str) -> str:
+    return f"collision_{name}"
+
+
+def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
+    values = state.get(key)
+    if values is None or len(values) != 3 or not all(math.isfinite(value) for value in values):
+        expected = "'robot': [x, y, yaw] and 'object': [dy, dz, dyaw], finite numbers [m, rad]"
+        raise SceneError(f"an initial state with {key}={values}", expected, "give all six numbers")
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _yaw_quat(yaw: float) -> tuple[float, float, float, float]:
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the quaternion wxyz of a camera (x right, y up, looking along -z) at eye that looks at target."""
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross([0, 0, 1], back)
+    right /= np.linalg.norm(right)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).flatten())
+    return quat

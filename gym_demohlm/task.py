@@ -1,0 +1,243 @@
+"""A task as data (``Task``), the paper's initial regions (``Region``), and the registry of the files in ``tasks/``.
+
+A task file holds one ``TASK`` value: what it adds to the robot's world, which objects are tracked, when it has
+succeeded. The environment owns the loop. A new task is one new file in ``tasks/``, or, outside this package,
+one call of ``register_task``.
+"""
+
+import functools
+import importlib
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
+
+import mujoco
+import numpy as np
+
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.registration import register_environment
+
+if TYPE_CHECKING:
+    from gym_demohlm.worlds import Worlds
+
+InitialState = dict[str, list[float]]
+"""Where an episode starts: ``{"robot": [x, y, yaw], "object": [dy, dz, dyaw]}`` [m, rad], world frame.
+
+``robot`` is the pelvis on the floor plane; ``object`` is added to the default pose of each placed object.
+"""
+
+Predicate = Callable[["Worlds"], np.ndarray]
+"""A question put to all worlds at once: simulation -> (num_worlds,) bool."""
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """Ranges from which an initial state is drawn uniformly (paper, appendix "Initial Regions").
+
+    Attributes:
+        name: R1, R2 or R3.
+        robot_x: Pelvis x [m].
+        robot_y: Pelvis y [m].
+        robot_yaw: Pelvis heading [rad].
+        object_y: Added to the object's default y [m].
+        object_z: Added to the object's default z, and to its support's [m].
+        object_yaw: Added to the object's default yaw [rad].
+    """
+
+    name: str
+    robot_x: Range
+    robot_y: Range
+    robot_yaw: Range
+    object_y: Range
+    object_z: Range
+    object_yaw: Range
+
+    def __post_init__(self) -> None:
+        for entry in fields(self)[1:]:
+            low, high = getattr(self, entry.name)
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                raise SceneError(f"{entry.name}=({low}, {high})", "a finite (low, high) with low <= high", "swap them")
+
+    def sample(self, rng: np.random.Generator) -> InitialState:
+        """Draw one initial state; always six draws, in the order of the attributes."""
+        x, y, yaw, dy, dz, dyaw = (float(rng.uniform(*getattr(self, entry.name))) for entry in fields(self)[1:])
+        return {"robot": [x, y, yaw], "object": [dy, dz, dyaw]}
+
+
+def _region(name: str, xs: Range, y: float, yaw: float, dy: float, dz: float, dyaw: float) -> Region:
+    return Region(
+        name=name,
+        robot_x=xs,
+        robot_y=(-y, y),
+        robot_yaw=(-yaw, yaw),
+        object_y=(0.0, dy),
+        object_z=(-dz, 0.0),
+        object_yaw=(-dyaw, dyaw),
+    )
+
+
+REGIONS: Mapping[str, Region] = MappingProxyType(
+    {
+        "R1": _region("R1", (-0.6, -0.3), 0.05, math.pi / 16, 0.02, 0.05, math.pi / 4),
+        "R2": _region("R2", (-1.0, -0.3), 0.1, math.pi / 8, 0.05, 0.1, math.pi / 2),
+        "R3": _region("R3", (-1.2, -0.3), 0.3, math.pi / 4, 0.1, 0.2, math.pi),
+    }
+)
+DEFAULT_REGION = "R3"
+
+
+def limit_yaw(regions: Mapping[str, Region], object_yaw: float) -> dict[str, Region]:
+    """Return the regions with the object's yaw limited to +-object_yaw [rad], for things that cannot face away."""
+
+    def limited(region: Region) -> Region:
+        low, high = region.object_yaw
+        return replace(region, object_yaw=(max(low, -object_yaw), min(high, object_yaw)))
+
+    return {name: limited(region) for name, region in regions.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectSpec:
+    """One tracked object of a task: a body with a free joint, or a mocap body that carries something articulated.
+
+    Attributes:
+        name: Name of its body.
+        position: Default position of the body's origin in the world [m].
+        yaw: Default heading [rad].
+        symmetry: Turns about the body's z axis [rad] after which it looks the same, 0 among them; ``"any"`` for
+            a round thing; ``(0.0,)``, the default, for one without symmetry.
+        placed: Whether a region moves it; otherwise it always starts at its default pose.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    yaw: float = 0.0
+    symmetry: tuple[float, ...] | Literal["any"] = (0.0,)
+    placed: bool = True
+
+    def __post_init__(self) -> None:
+        if self.symmetry != "any" and 0.0 not in self.symmetry:
+            raise SceneError(f"symmetry {self.symmetry} of {self.name!r}", "angles with 0.0 among them", "add 0.0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What distinguishes one task from another.
+
+    Attributes:
+        name: CamelCase; the Gymnasium id is ``DemoHLM/<name>-v0``.
+        description: The instruction in words, as a language-conditioned policy gets it.
+        hands: Hand module on both wrists.
+        build: Adds the task's bodies to the robot's spec (floor, light and camera are there already).
+        objects: Tracked objects, in the order of ``environment_state``.
+        success: The paper's success condition.
+        gaze_target: The object that the neck keeps in view.
+        supports: Mocap bodies that follow the region's z offset.
+        obstacles: Bodies that the robot should not touch; their contacts are reported as collisions.
+        contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
+        failures: Named predicates that say how the task went wrong, such as "dropped".
+        regions: Initial regions by name.
+        episode_length_s: Time limit [s].
+    """
+
+    name: str
+    description: str
+    hands: Literal["rubber", "gripper"]
+    build: Callable[[mujoco.MjSpec], None]
+    objects: tuple[ObjectSpec, ...]
+    success: Predicate
+    gaze_target: str
+    supports: tuple[str, ...] = ()
+    obstacles: tuple[str, ...] = ()
+    contact_pairs: tuple[tuple[str, str], ...] = ()
+    failures: Mapping[str, Predicate] = field(default_factory=dict)
+    regions: Mapping[str, Region] = REGIONS
+    episode_length_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        names = [spec.name for spec in self.objects]
+        if len(set(names)) != len(names) or not names:
+            raise SceneError(f"objects {names} in task {self.name}", "one or more, each name once", "rename one")
+        for name in (self.gaze_target, *(name for _, name in self.contact_pairs)):
+            self.object(name)
+        for side, _ in self.contact_pairs:
+            if side not in ("left", "right"):
+                raise UnknownNameError("hand", side, ("left", "right"))
+        if not self.episode_length_s > 0:
+            raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
+
+    def object(self, name: str) -> ObjectSpec:
+        """Return the tracked object of that name."""
+        for spec in self.objects:
+            if spec.name == name:
+                return spec
+        raise UnknownNameError("object", name, [spec.name for spec in self.objects])
+
+    def region(self, name: str) -> Region:
+        """Return the initial region of that name."""
+        if name not in self.regions:
+            raise UnknownNameError("region", name, self.regions)
+        return self.regions[name]
+
+    def sample(self, region: str, rng: np.random.Generator) -> InitialState:
+        """Draw an initial state from a region.
+
+        Args:
+            region: Name of the region.
+            rng: Source of the randomness.
+
+        Raises:
+            UnknownNameError: The task has no such region.
+        """
+        return self.region(region).sample(rng)
+
+    def default_state(self) -> InitialState:
+        """Return the state without randomness: robot at the near edge of the regions, objects at their defaults."""
+        return {"robot": [-0.3, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
+
+
+_registered: dict[str, Task] = {}
+
+
+def register_task(task: Task) -> Task:
+    """Make a task known under its name and register its environment ``DemoHLM/<name>-v0``; returns the task.
+
+    Raises:
+        SceneError: Another task has that name.
+    """
+    if _registered.setdefault(task.name, task) is not task:
+        raise SceneError(f"a second task {task.name!r}", "one task a name", "rename one of the two")
+    register_environment(task)
+    return task
+
+
+@functools.cache
+def _load_task_files() -> None:
+    from gym_demohlm import tasks
+
+    for module in sorted(entry.name for entry in pkgutil.iter_modules(tasks.__path__)):
+        register_task(importlib.import_module(f"{tasks.__name__}.{module}").TASK)
+
+
+def all_tasks() -> dict[str, Task]:
+    """Return every task by name: those of the package's task files, and those registered from outside."""
+    _load_task_files()
+    return dict(sorted(_registered.items()))
+
+
+def get_task(name: str) -> Task:
+    """Return a task by its name, "LiftBox" or "LiftBox-v0".
+
+    Raises:
+        UnknownNameError: No such task; the message names the closest one.
+    """
+    found = all_tasks()
+    bare = name.removeprefix("DemoHLM/").removesuffix("-v0")
+    if bare not in found:
+        raise UnknownNameError("task", name, found)
+    return found[bare]

@@ -1,0 +1,1 @@
+"""One file a task, each with a ``TASK`` value; ``gym_demohlm.task`` finds them by themselves."""

@@ -1,0 +1,1 @@
+"""Training of the whole-body controller by reinforcement learning (extra ``wbc``)."""

@@ -1,0 +1,51 @@
+"""A trained actor -> ``weights.npz``: arrays and JSON metadata that the run-time controller loads without torch."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+
+from gym_demohlm.control import features, reference
+from gym_demohlm.robot import g1
+
+FORMAT = 1
+
+
+def export_weights(actor: MLPModel, shift_table: np.ndarray, path: Path, facts: dict[str, Any]) -> None:
+    """Write the actor.
+
+    Args:
+        actor: The symmetric actor with its normaliser.
+        shift_table: The reference's quasi-static table.
+        path: Of the file to write, replaced at once.
+        facts: How it was trained, kept in the metadata.
+    """
+    arrays: dict[str, np.ndarray] = {"shift_table": np.asarray(shift_table)}
+    normaliser = actor.obs_normalizer
+    arrays["mean"] = normaliser.mean.detach().numpy().astype(np.float32)
+    arrays["scale"] = (1.0 / (normaliser.std + normaliser.eps)).detach().numpy().astype(np.float32)
+    linear = [layer for layer in actor.mlp if isinstance(layer, torch.nn.Linear)]
+    for index, layer in enumerate(linear):
+        arrays[f"weight_{index}"] = layer.weight.detach().numpy().T.astype(np.float32)
+        arrays[f"bias_{index}"] = layer.bias.detach().numpy().astype(np.float32)
+    metadata = {
+        "format": FORMAT,
+        "layers": len(linear),
+        "activation": "elu",
+        "observation_size": features.OBSERVATION_SIZE,
+        "history": features.HISTORY,
+        "action_scale": features.ACTION_SCALE.tolist(),
+        "driven_joints": list(features.DRIVEN_JOINTS),
+        "control_dt_s": reference.CONTROL_DT,
+        "gait": vars(reference.GAIT),
+        "stiffness": {joint: g1.motor(joint).stiffness for joint in g1.BODY_JOINTS},
+        "damping": {joint: g1.motor(joint).damping for joint in g1.BODY_JOINTS},
+        **facts,
+    }
+    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
+    partial = path.with_suffix(".partial.npz")
+    np.savez(partial, allow_pickle=False, **arrays)
+    partial.replace(path)

@@ -1,0 +1,211 @@
+"""The Markov decision process of the whole-body controller: N training worlds on mujoco.rollout, all else in NumPy.
+
+Joint targets = reference(command, clock) + scale * action. Actions are 15 numbers at 50 Hz; arms follow random targets.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from gym_demohlm.control import features, reference
+from gym_demohlm.robot import g1
+from gym_demohlm.wbc import rewards
+from gym_demohlm.wbc.commands import CommandSampler
+from gym_demohlm.wbc.model import SUBSTEPS, training_model
+from gym_demohlm.wbc.quasi_static import ankle_shift_table
+
+_JOINTS = len(features.OBSERVED_JOINTS)
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_PRIVILEGED = 10  # base velocity 3, foot contact 2, foot height 2, base height 1, torso pitch and roll 2
+CRITIC_SIZE = features.OBSERVATION_SIZE + _PRIVILEGED
+_NOISE = np.concatenate([np.full(3, 0.05), np.full(3, 0.03), np.full(_JOINTS, 0.01), np.full(_JOINTS, 0.05)])
+
+
+def _critic_mirror() -> tuple[np.ndarray, np.ndarray]:
+    source, sign = features.OBSERVATION_MIRROR
+    extra = len(source) + np.array([0, 1, 2, 4, 3, 6, 5, 7, 8, 9])
+    return np.concatenate([source, extra]), np.concatenate([sign, [1, -1, 1, 1, 1, 1, 1, 1, 1, -1]]).astype(np.float32)
+
+
+CRITIC_MIRROR = _critic_mirror()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdpConfig:
+    """Size and difficulty of the training worlds.
+
+    Attributes:
+        num_worlds: Worlds stepped together.
+        num_variants: Randomised models shared among them.
+        num_threads: Threads of mujoco.rollout.
+        episode_ticks: Length of an episode [control ticks].
+        push_speed: Largest sudden change of the base's horizontal velocity [m/s].
+        push_probability: Chance of a push a tick.
+        seed: Of everything random.
+    """
+
+    num_worlds: int = 512
+    num_variants: int = 16
+    num_threads: int = 2
+    episode_ticks: int = 1000
+    push_speed: float = 0.4
+    push_probability: float = 0.004
+    seed: int = 1
+
+
+class WholeBodyMdp:
+    """N robots learning to follow commands.
+
+    Attributes:
+        level: Curriculum in [0, 1]: widens the command ranges, the arms' motion and the pushes.
+    """
+
+    def __init__(self, config: MdpConfig) -> None:
+        self.config = config
+        self.rng = np.random.default_rng(config.seed)
+        n = config.num_worlds
+        variants = [training_model(self.rng) for _ in range(config.num_variants)]
+        self.model = variants[0]
+        self._models = [variants[world % config.num_variants] for world in range(n)]
+        self._rollout = rollout.Rollout(nthread=config.num_threads)
+        self._data = [mujoco.MjData(self.model) for _ in range(config.num_threads)]
+        self._state = np.zeros((n, mujoco.mj_stateSize(self.model, _STATE)))
+        self._address = {
+            self.model.sensor(i).name: slice(
+                self.model.sensor_adr[i], self.model.sensor_adr[i] + self.model.sensor_dim[i]
+            )
+            for i in range(self.model.nsensor)
+        }
+        joints = [self.model.joint(f"{joint}_joint") for joint in features.OBSERVED_JOINTS]
+        ranges = np.array([joint.range for joint in joints])
+        self._lower, self._upper = ranges[:, 0], ranges[:, 1]
+        self.reference = reference.Reference(ankle_shift_table())
+        self.commands = CommandSampler(n, self.rng)
+        self.level = 0.0
+        self.phase, self.stopped, self.standing = np.zeros(n), np.zeros(n), np.ones(n, dtype=bool)
+        self.action, self.previous_action = np.zeros((n, features.ACTION_SIZE)), np.zeros((n, features.ACTION_SIZE))
+        self.history = np.zeros((n, features.HISTORY, features.FRAME_SIZE))
+        self.privileged = np.zeros((n, _PRIVILEGED))
+        self.ticks = np.zeros(n, dtype=int)
+        self.tracking: dict[str, float] = {}
+        self.terms: dict[str, float] = {}
+        self.reset(np.arange(n))
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """Positions, (N, 7 + 23): a view of the state."""
+        return self._state[:, 1 : 8 + _JOINTS]
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """Velocities, (N, 6 + 23): a view of the state."""
+        return self._state[:, 8 + _JOINTS : 14 + 2 * _JOINTS]
+
+    def reset(self, worlds: np.ndarray) -> None:
+        """Start new episodes near the reference pose of a new command."""
+        if len(worlds) == 0:
+            return
+        count = len(worlds)
+        self.commands.reset(worlds, self.level)
+        command = self.commands.current[worlds]
+        walk = (np.abs(self.commands.goal[worlds, :3]) > reference.WALK_THRESHOLD).any(axis=1)
+        self.phase[worlds] = self.rng.choice(reference.REST_PHASES, count)
+        self.stopped[worlds] = np.where(walk, 0.0, 2.0)
+        self.standing[worlds] = ~walk
+        targets = self.reference(command, self.phase[worlds], np.ones(count, dtype=bool))
+        tilt = reference.pelvis_pitch(command[:, 5])
+        qpos = np.zeros((count, 7 + _JOINTS))
+        qpos[:, 2] = command[:, 3] + 0.01
+        qpos[:, 3], qpos[:, 5] = np.cos(tilt / 2), np.sin(tilt / 2)
+        joints = np.concatenate([targets, self.commands.arms[worlds]], axis=1)
+        qpos[:, 7:] = np.clip(joints + self.rng.normal(0, 0.03, joints.shape), self._lower, self._upper)
+        self._state[worlds] = 0
+        self.qpos[worlds] = qpos
+        self.qvel[worlds] = self.rng.normal(0, 0.1, (count, 6 + _JOINTS))
+        self.action[worlds] = self.previous_action[worlds] = 0
+        self.ticks[worlds] = 0
+        qvel = self.qvel[worlds]
+        self.history[worlds] = features.frame(qpos[:, 3:7], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])[:, None]
+        self.privileged[worlds] = 0
+        self.privileged[worlds, 7] = qpos[:, 2]
+
+    def observe(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the actor sees (with sensor noise) and what the critic sees, float32."""
+        noisy = self.history + self.rng.uniform(-1, 1, self.history.shape) * _NOISE
+        seen = features.observation(
+            noisy, self.action, self.commands.arms, self.commands.current, self.phase, self.standing
+        )
+        return seen.astype(np.float32), np.concatenate([seen, self.privileged], axis=1).astype(np.float32)
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance all worlds by one control tick.
+
+        Args:
+            actions: (N, 15).
+
+        Returns:
+            Rewards (N,), fell (N,) bool, ended (N,) bool (fell or time is up). The caller resets ended worlds.
+        """
+        n = self.config.num_worlds
+        actions = np.clip(actions, -features.ACTION_LIMIT, features.ACTION_LIMIT)
+        self.commands.advance(self.level, self.standing)
+        self.phase, self.stopped, self.standing = reference.advance_clock(
+            self.phase, self.stopped, self.standing, self.commands.current[:, :3]
+        )
+        targets = np.concatenate(
+            [
+                self.reference(self.commands.current, self.phase, self.standing) + actions * features.ACTION_SCALE,
+                self.commands.arms,
+            ],
+            axis=1,
+        )
+        control = np.repeat(np.clip(targets, self._lower, self._upper)[:, None], SUBSTEPS, axis=1)
+        states, sensors = self._rollout.rollout(self._models, self._data, self._state, control)
+        self._state = states[:, -1].copy()
+        measured = rewards.measure(self.qpos, self.qvel, sensors[:, -1], self._address)
+        reward, self.terms = rewards.total(
+            measured,
+            self.commands.current,
+            self.phase,
+            self.standing,
+            actions,
+            self.action,
+            self.previous_action,
+        )
+        fell = self._fell(measured) | ~np.isfinite(reward)
+        reward = np.where(fell, -1.0, np.nan_to_num(reward) * 0.2)
+        self.previous_action, self.action = self.action, actions.copy()
+        self._push()
+        frame = features.frame(self.qpos[:, 3:7], self.qvel[:, 3:6], self.qpos[:, 7:], self.qvel[:, 6:])
+        self.history = np.concatenate([self.history[:, 1:], frame[:, None]], axis=1)
+        self.privileged = np.concatenate(
+            [
+                measured.velocity,
+                measured.vertical_velocity[:, None],
+                measured.touch * 0.005,
+                measured.sole_height * 5,
+                measured.height[:, None],
+                measured.torso_pitch[:, None],
+                measured.torso_roll[:, None],
+            ],
+            axis=1,
+        )
+        self.ticks += 1
+        self.tracking = rewards.tracking(measured, self.commands.current, self.standing)
+        return reward, fell, fell | (self.ticks >= self.config.episode_ticks)
+
+    def _fell(self, measured: rewards.Measured) -> np.ndarray:
+        return (
+            (measured.height < 0.28)
+            | (np.abs(measured.torso_roll) > 0.9)
+            | (measured.torso_pitch > 1.6)
+            | (measured.torso_pitch < -0.8)
+            | (np.abs(measured.height - self.commands.current[:, 3]) > 0.25)
+        )
+
+    def _push(self) -> None:
+        pushed = np.nonzero(self.rng.random(self.config.num_worlds) < self.config.push_probability)[0]
+        strength = self.config.push_speed * min(1.0, 0.3 + self.level)
+        self.qvel[pushed, :2] += self.rng.uniform(-strength, strength, (len(pushed), 2))

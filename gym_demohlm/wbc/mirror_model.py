@@ -1,0 +1,78 @@
+"""rsl_rl's MLP model -> one that is exactly mirror-symmetric, so that every sample teaches both sides.
+
+output(x) = (net(x) + mirror(net(mirror(x)))) / 2, with a normaliser that sees both. Unlike augmenting the batch with
+mirrored samples, the KL estimate, and with it the adaptive learning rate, stays right.
+"""
+
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from gym_demohlm.control import features
+from gym_demohlm.wbc.mdp import CRITIC_MIRROR
+
+
+class MirrorModel(MLPModel):
+    """A symmetric actor (with a distribution) or critic (without)."""
+
+    def __init__(
+        self, obs: TensorDict, obs_groups: dict[str, list[str]], obs_set: str, output_dim: int, **kwargs: Any  # noqa: ANN401
+    ) -> None:
+        super().__init__(obs, obs_groups, obs_set, output_dim, **kwargs)
+        seen = features.OBSERVATION_MIRROR if obs_set == "actor" else CRITIC_MIRROR
+        self.register_buffer("_seen_source", torch.as_tensor(seen[0]))
+        self.register_buffer("_seen_sign", torch.as_tensor(seen[1]))
+        out = features.ACTION_MIRROR if obs_set == "actor" else ([0], [1.0])
+        self.register_buffer("_out_source", torch.as_tensor(out[0]))
+        self.register_buffer("_out_sign", torch.as_tensor(out[1], dtype=torch.float32))
+        if obs_set == "actor":
+            with torch.no_grad():
+                self.mlp[-1].weight *= 0.05  # start at the reference
+                self.mlp[-1].bias.zero_()
+
+    def _mirrored(self, values: torch.Tensor) -> torch.Tensor:
+        return values[..., self._seen_source] * self._seen_sign
+
+    def _observed(self, obs: TensorDict) -> torch.Tensor:
+        return torch.cat([obs[group] for group in self.obs_groups], dim=-1)
+
+    def forward(
+        self,
+        obs: TensorDict,
+        masks: torch.Tensor | None = None,
+        hidden_state: Any = None,  # noqa: ANN401
+        stochastic_output: bool = False,
+    ) -> torch.Tensor:
+        """Return the mean of the action, a sample of it, or the value; arguments as in rsl_rl."""
+        latent = self.obs_normalizer(self._observed(obs)).clamp(-6.0, 6.0)
+        both = self.mlp(torch.cat([latent, self._mirrored(latent)]))
+        plain, mirrored = both.chunk(2)
+        output = 0.5 * (plain + mirrored[..., self._out_source] * self._out_sign)
+        if self.distribution is None:
+            return output
+        if stochastic_output:
+            self.distribution.update(output)
+            return self.distribution.sample()
+        return self.distribution.deterministic_output(output)
+
+    def update_normalization(self, obs: TensorDict) -> None:
+        """Feed the normaliser a part of the samples, and their mirror images."""
+        if self.obs_normalization:
+            seen = self._observed(obs)[::4]
+            self.obs_normalizer.update(torch.cat([seen, self._mirrored(seen)]))
+
+
+class BoundedPPO(PPO):
+    """rsl_rl's PPO whose adaptive learning rate stays within [2e-4, 1e-3]: below, training on two cores stalls."""
+
+    @property
+    def learning_rate(self) -> float:
+        """The current learning rate."""
+        return self._learning_rate
+
+    @learning_rate.setter
+    def learning_rate(self, value: float) -> None:
+        self._learning_rate = min(max(value, 2e-4), 1e-3)

@@ -1,0 +1,5 @@
+"""What LeRobot imports: a distribution whose name starts with ``lerobot_env_`` must bring a module of that very name."""
+
+import lerobot_demohlm
+
+lerobot_demohlm.register()

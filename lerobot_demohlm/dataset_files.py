@@ -1,0 +1,137 @@
+"""Episodes -> the files of a LeRobot v3 dataset, and back to arrays."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.datasets.compute_stats import compute_episode_stats
+from lerobot.datasets.feature_utils import get_hf_features_from_features
+from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE, DEFAULT_DATA_PATH, DEFAULT_EPISODES_PATH
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+
+from gym_demohlm import observation
+from gym_demohlm.control import command
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.task import get_task
+from lerobot_demohlm.dataset import FPS, ROBOT_TYPE, Episode, require_new_root
+
+NEXT_SUCCESS = "next.success"
+
+
+def data_file(index: int) -> Path:
+    """Return where a dataset keeps a file of frames, relative to its root."""
+    chunk, file = divmod(index, DEFAULT_CHUNK_SIZE)
+    return Path(DEFAULT_DATA_PATH.format(chunk_index=chunk, file_index=file))
+
+
+def episodes_file(index: int) -> Path:
+    """Return where a dataset keeps a file with one row an episode, relative to its root."""
+    chunk, file = divmod(index, DEFAULT_CHUNK_SIZE)
+    return Path(DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file))
+
+
+def features(task: str) -> dict[str, dict[str, Any]]:
+    """Return the LeRobot feature table of a task's datasets, every dimension named.
+
+    Args:
+        task: Name of a registered task.
+    """
+    names = {
+        OBS_STATE: list(observation.STATE_NAMES),
+        OBS_ENV_STATE: list(observation.environment_names(get_task(task))),
+        ACTION: list(command.NAMES),
+    }
+    table: dict[str, dict[str, Any]] = {
+        key: {"dtype": "float32", "shape": (len(value),), "names": value} for key, value in names.items()
+    }
+    table[NEXT_SUCCESS] = {"dtype": "bool", "shape": (1,), "names": ["success"]}
+    return table
+
+
+def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None:
+    """Write episodes as one finalized LeRobot v3 dataset with one data file.
+
+    The content equals what ``LeRobotDataset.add_frame`` and ``save_episode`` write (a test compares them), without
+    their image step and their frame-by-frame checks: whole arrays are checked by ``Episode`` once.
+
+    Args:
+        root: Where; must not exist.
+        repo_id: Name of the dataset on the hub, ``user/name``.
+        episodes: One or more, of one task, each with frames.
+    """
+    require_new_root(root)
+    if not episodes or any(len(episode.success) == 0 for episode in episodes):
+        raise DatasetError("no episode, or one without frames", "one or more episodes with frames", "leave it out")
+    table = features(episodes[0].task)
+    meta = LeRobotDatasetMetadata.create(repo_id, FPS, table, robot_type=ROBOT_TYPE, root=root, use_videos=False)
+    schema = get_hf_features_from_features(meta.features).arrow_schema
+    path = root / data_file(0)
+    path.parent.mkdir(parents=True)
+    with pq.ParquetWriter(path, schema=schema, compression="snappy", use_dictionary=True) as writer:
+        for episode_index, episode in enumerate(episodes):
+            meta.save_episode_tasks([episode.task_text])
+            start = meta.total_frames
+            columns = _columns(episode, episode_index, start, meta.get_task_index(episode.task_text))
+            writer.write_table(_arrow_table(columns, schema))  # one row group an episode, as LeRobot's writer
+            place = {
+                "data/chunk_index": 0,
+                "data/file_index": 0,
+                "dataset_from_index": start,
+                "dataset_to_index": start + len(episode.success),
+            }
+            stats = compute_episode_stats(columns, meta.features)
+            meta.save_episode(episode_index, len(episode.success), [episode.task_text], stats, place)
+    meta.finalize()
+
+
+def _columns(episode: Episode, episode_index: int, start: int, task_index: int | None) -> dict[str, Any]:
+    """Return an episode's columns, each with T rows, in the order of LeRobot's feature table."""
+    length = len(episode.success)
+    return {
+        OBS_STATE: episode.state,
+        OBS_ENV_STATE: episode.environment_state,
+        ACTION: episode.action,
+        NEXT_SUCCESS: episode.success,
+        "timestamp": np.arange(length) / FPS,
+        "frame_index": np.arange(length),
+        "episode_index": np.full(length, episode_index),
+        "index": np.arange(start, start + length),
+        "task_index": np.full(length, task_index),
+    }
+
+
+def _arrow_table(columns: dict[str, Any], schema: pa.Schema) -> pa.Table:
+    """Convert columns (T,) or (T, D) to an Arrow table without going through Python lists."""
+    arrays = []
+    for name in schema.names:
+        kind, values = schema.field(name).type, columns[name]
+        if values.ndim == 1:
+            arrays.append(pa.array(values).cast(kind))
+        else:
+            flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+            arrays.append(pa.FixedSizeListArray.from_arrays(flat, values.shape[1]))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def read_arrays(root: Path) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the columns of every episode of a dataset on disk, in order, as arrays (T,) or (T, D)."""
+    meta = LeRobotDatasetMetadata("local/dataset", root=root)
+    files = {meta.get_data_file_path(index): None for index in range(meta.total_episodes)}
+    for file in files:
+        table = pq.read_table(root / file)
+        arrays = {name: _numpy(table.column(name)) for name in table.column_names}
+        starts = np.flatnonzero(np.diff(arrays["episode_index"], prepend=-1))
+        for start, stop in zip(starts, [*starts[1:], len(table)], strict=True):
+            yield {name: array[start:stop] for name, array in arrays.items()}
+
+
+def _numpy(column: pa.ChunkedArray) -> np.ndarray:
+    """Convert an Arrow column of numbers or of equally long lists to (T,) or (T, D)."""
+    array = column.combine_chunks()
+    if pa.types.is_list(array.type) or pa.types.is_fixed_size_list(array.type):
+        return array.flatten().to_numpy(zero_copy_only=False).reshape(len(array), -1)
+    return array.to_numpy(zero_copy_only=False)

@@ -1,0 +1,45 @@
+"""One world of a simulation, as the stages of generation see it: poses, forces, and the verdicts of the task."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gym_demohlm.control.ik import WholeBodyIK
+from gym_demohlm.robot import g1
+from gym_demohlm.simulation import Simulation
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A view of one world; everything it returns is a copy.
+
+    Attributes:
+        sim: The simulation.
+        index: Which of its worlds.
+        ik: Inverse kinematics of the robot, shared: it remembers nothing.
+    """
+
+    sim: Simulation
+    index: int
+    ik: WholeBodyIK
+
+    def pose(self, name: str) -> np.ndarray:
+        """Return the pose (4, 4) of a frame in the world."""
+        return self.sim.pose(name)[self.index]
+
+    def hands(self) -> np.ndarray:
+        """Return the measured poses (2, 4, 4) of the palms."""
+        return np.stack([self.pose(f"{side}_palm") for side in g1.SIDES])
+
+    def command(self) -> np.ndarray:
+        """Return the last command (23,)."""
+        return self.sim.command[self.index]
+
+    def joint_positions(self) -> np.ndarray:
+        """Return the body joints (29,) [rad]."""
+        return self.sim.joint_positions[self.index]
+
+    def object_displacement(self, name: str) -> float:
+        """Return how far an object is from where it started [m]."""
+        offset = self.pose(name)[:3, 3] - self.sim.start_pose(name)[self.index, :3, 3]
+        return float(np.sqrt(offset @ offset))

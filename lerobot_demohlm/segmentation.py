@@ -1,0 +1,225 @@
+"""A demonstration -> contact events -> for each hand, the segments in which it follows an object or the robot.
+
+Before a hand touches an object it follows the object (pre-manipulation); from the touch on it follows the robot
+(manipulation), until it lets go and heads for another object. A gripper that closes just before it
+presses begins that touch. Hands that take one object at about the same time switch together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.robot import g1
+from gym_demohlm.task import get_task
+from lerobot_demohlm.demonstration import CONTACT_FORCE_N, Demonstration, require_contact
+from lerobot_demohlm.generation.retarget import ANCHORS, Anchor
+
+CONTACT_TICKS = 2  # a touch or a release counts once it has lasted this long (0.2 s)
+TOGETHER_TICKS = 8  # hands that take one object within this time act together (0.8 s)
+GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something a hand did.
+
+    Attributes:
+        tick: When it began.
+        hand: "left" or "right".
+        kind: "touch" or "release" of an object, "close" or "open" of the gripper.
+        object: The object; None for gripper events.
+    """
+
+    tick: int
+    hand: str
+    kind: Literal["touch", "release", "close", "open"]
+    object: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """What a hand follows during ticks [start, stop) of the demonstration.
+
+    Attributes:
+        hand: "left" or "right".
+        kind: "object": its pose relative to the object counts; "proprioception": its motion relative to the anchor.
+        start: First tick.
+        stop: Tick after the last one.
+        object: The object that it is about to touch, or has touched; None for a hand that touches nothing.
+        anchor: Frame of a proprioception segment.
+    """
+
+    hand: str
+    kind: Literal["object", "proprioception"]
+    start: int
+    stop: int
+    object: str | None
+    anchor: Anchor = "eef_heading"
+
+
+def _runs(active: np.ndarray, min_ticks: int) -> list[tuple[int, int]]:
+    """Return [start, stop) of the stretches in which a flag (T,) holds, shorter gaps and then shorter runs dropped."""
+
+    def stretches(flags: np.ndarray) -> list[tuple[int, int]]:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+        return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+    filled = active.copy()
+    for start, stop in stretches(~active):
+        if stop - start < min_ticks and start > 0 and stop < len(active):
+            filled[start:stop] = True
+    return [(start, stop) for start, stop in stretches(filled) if stop - start >= min_ticks]
+
+
+def contact_events(
+    contact_forces: np.ndarray,
+    pairs: Sequence[tuple[str, str]],
+    force_n: float = CONTACT_FORCE_N,
+    min_ticks: int = CONTACT_TICKS,
+) -> list[Event]:
+    """Return touches and releases in the order of time.
+
+    Args:
+        contact_forces: (T, P) normal forces [N].
+        pairs: P pairs of hand and object.
+        force_n: A hand touches from this force on [N].
+        min_ticks: A touch, or the gap after it, counts once it has lasted this many ticks.
+    """
+    events = []
+    for column, (hand, name) in enumerate(pairs):
+        for start, stop in _runs(contact_forces[:, column] >= force_n, min_ticks):
+            events.append(Event(tick=start, hand=hand, kind="touch", object=name))
+            if stop < len(contact_forces):
+                events.append(Event(tick=stop, hand=hand, kind="release", object=name))
+    return sorted(events, key=lambda event: (event.tick, event.hand, event.kind))
+
+
+def gripper_events(action: np.ndarray) -> list[Event]:
+    """Return when gripper commands (T, 23) close and open."""
+    events = []
+    for column, hand in enumerate(g1.SIDES):
+        closed = action[:, command.GRIPPERS][:, column] >= GRIPPER_CLOSED
+        for tick in np.flatnonzero(np.diff(closed.astype(np.int8))) + 1:
+            events.append(Event(tick=int(tick), hand=hand, kind="close" if closed[tick] else "open"))
+    return sorted(events, key=lambda event: (event.tick, event.hand))
+
+
+def events(demonstration: Demonstration) -> list[Event]:
+    """Return all contact and gripper events of a demonstration in the order of time."""
+    task = get_task(demonstration.task)
+    found = contact_events(demonstration.contact_forces, task.contact_pairs)
+    if task.hands == "gripper":
+        found += gripper_events(demonstration.action)
+    return sorted(found, key=lambda event: (event.tick, event.hand, event.kind))
+
+
+def segment(demonstration: Demonstration) -> list[Segment]:
+    """Cut a demonstration into segments: by its contacts, or as its hand-made corrections say.
+
+    Returns:
+        Segments ordered by hand and time; those of a hand cover [0, T) without gaps.
+
+    Raises:
+        DemonstrationError: No hand touches anything, or the corrections do not fit.
+    """
+    require_contact(demonstration)
+    if demonstration.corrections is not None:
+        return _corrected(demonstration)
+    length = len(demonstration)
+    found = events(demonstration)
+    switches = {hand: _switches([event for event in found if event.hand == hand]) for hand in g1.SIDES}
+    switches = _together(switches)
+    segments = []
+    for hand in g1.SIDES:
+        segments += _track(hand, switches[hand], length)
+    return segments
+
+
+def _switches(found: list[Event]) -> list[tuple[int, int | None, str]]:
+    """Return (touch, release, object) of a hand; a gripper closing just before or during a touch brings it forward."""
+    touches = [event for event in found if event.kind == "touch"]
+    switches = []
+    for event in touches:
+        releases = [e.tick for e in found if e.kind == "release" and e.object == event.object and e.tick > event.tick]
+        closing = [e.tick for e in found if e.kind == "close" and 0 <= event.tick - e.tick <= TOGETHER_TICKS]
+        assert event.object is not None  # touches have one
+        switches.append((min([event.tick, *closing]), min(releases, default=None), event.object))
+    return switches
+
+
+def _together(
+    switches: dict[str, list[tuple[int, int | None, str]]],
+) -> dict[str, list[tuple[int, int | None, str]]]:
+    """Let hands that take one object at about the same time switch at the first touch."""
+    together = {hand: list(found) for hand, found in switches.items()}
+    for i, (touch, release, name) in enumerate(switches["left"]):
+        for j, (other, other_release, other_name) in enumerate(switches["right"]):
+            if name == other_name and abs(touch - other) <= TOGETHER_TICKS:
+                together["left"][i] = (min(touch, other), release, name)
+                together["right"][j] = (min(touch, other), other_release, name)
+    return together
+
+
+def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int) -> list[Segment]:
+    """Return a hand's segments: to each object, then with it until the approach to the next one begins."""
+    if not switches:  # it touches nothing: it keeps its place on the robot
+        return [Segment(hand=hand, kind="proprioception", start=0, stop=length, object=None, anchor="root")]
+    segments, start = [], 0
+    for index, (touch, release, name) in enumerate(switches):
+        last = index == len(switches) - 1
+        following = None if last else switches[index + 1]
+        stop = length if following is None else (release if release is not None else following[0])
+        if touch > start:
+            segments.append(Segment(hand=hand, kind="object", start=start, stop=touch, object=name))
+        begin = max(touch, start)
+        if stop > begin:
+            segments.append(Segment(hand=hand, kind="proprioception", start=begin, stop=stop, object=name))
+            start = stop
+    return segments
+
+
+def _corrected(demonstration: Demonstration) -> list[Segment]:
+    """Read segments from the sidecar: {"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}."""
+    corrections: dict[str, Any] = demonstration.corrections or {}
+    names = {entry.name for entry in get_task(demonstration.task).objects}
+    try:
+        segments = [Segment(**entry) for entry in corrections["segments"]]
+    except (KeyError, TypeError) as error:
+        raise DemonstrationError(
+            f"corrections that cannot be read ({error})",
+            '{"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}',
+            "mend meta/segments.json, or remove it",
+        ) from error
+    segments.sort(key=lambda entry: (g1.SIDES.index(entry.hand) if entry.hand in g1.SIDES else -1, entry.start))
+    for hand in g1.SIDES:
+        track = [entry for entry in segments if entry.hand == hand]
+        edges = [0, *(entry.stop for entry in track)]
+        fits = [entry.start for entry in track] == edges[:-1] and edges[-1] == len(demonstration)
+        if not fits or any(entry.stop <= entry.start for entry in track):
+            raise DemonstrationError(
+                f"corrections whose {hand} segments are {[(entry.start, entry.stop) for entry in track]}",
+                f"segments from 0 to {len(demonstration)} without gaps",
+                "mend meta/segments.json, or remove it",
+            )
+    for entry in segments:
+        known = entry.object in names or (entry.object is None and entry.kind == "proprioception")
+        if entry.kind not in ("object", "proprioception") or entry.anchor not in ANCHORS or not known:
+            raise DemonstrationError(
+                f"a corrected segment {entry}",
+                f"kind object or proprioception, an object of {sorted(names)}, an anchor of {ANCHORS}",
+                "mend meta/segments.json, or remove it",
+            )
+    return segments
+
+
+def groups(segments: Sequence[Segment]) -> list[tuple[Segment, ...]]:
+    """Put segments of both hands that share object, kind and start together: they share one anchor."""
+    grouped: dict[tuple[str, int, str | None], list[Segment]] = {}
+    for entry in segments:
+        key = (entry.kind, entry.start, entry.object or entry.hand)
+        grouped.setdefault(key, []).append(entry)
+    return [tuple(group) for _, group in sorted(grouped.items(), key=lambda item: item[0][1])]

@@ -1,0 +1,56 @@
+"""What a person sees -> the poses of head and wrists that the robot should take: the border to a headset.
+
+A headset's driver implements ``Operator``; so do the scripted operators in ``scripts/``, which stand in for a person
+and are not one: they know where everything is and repeat their motion exactly.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneView:
+    """What an operator sees, as poses in the world.
+
+    Attributes:
+        tick: Ticks of 0.1 s since the operator took over.
+        T_world_head: (4, 4) head camera.
+        T_world_pelvis: (4, 4).
+        T_world_hands: (2, 4, 4) left and right palm.
+        T_world_objects: Tracked objects by name, (4, 4) each.
+    """
+
+    tick: int
+    T_world_head: np.ndarray
+    T_world_pelvis: np.ndarray
+    T_world_hands: np.ndarray
+    T_world_objects: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperatorPoses:
+    """Where an operator's head and hands are, in the robot's world.
+
+    Attributes:
+        T_world_head: (4, 4) x forward, y left, z up.
+        T_world_hands: (2, 4, 4) left and right palm.
+        grippers: (2,) 0 open .. 1 closed.
+    """
+
+    T_world_head: np.ndarray
+    T_world_hands: np.ndarray
+    grippers: np.ndarray
+
+
+class Operator(Protocol):
+    """Somebody, or something, that moves head and hands."""
+
+    name: str
+    """Written into the demonstration: who recorded it."""
+
+    def poses(self, view: SceneView) -> OperatorPoses | None:
+        """Return the poses of this tick; None once the demonstration is over."""
+        ...

@@ -1,0 +1,131 @@
+"""An operator and a task -> a demonstration: poses at 10 Hz, inverse kinematics, commands, controller, physics."""
+
+import importlib
+import platform
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.control.ik import WholeBodyIK
+from gym_demohlm.errors import DemonstrationError, UnknownNameError
+from gym_demohlm.robot import g1
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import InitialState, Task
+from lerobot_demohlm import provenance
+from lerobot_demohlm.dataset import installed_versions
+from lerobot_demohlm.demonstration import (
+    FORMAT_VERSION,
+    Demonstration,
+    measure,
+    pose_numbers,
+    require_contact,
+)
+from lerobot_demohlm.teleop import scripts
+from lerobot_demohlm.teleop.operator import Operator, SceneView
+
+SETTLE_TICKS = 15  # the robot stands still before the operator takes over
+MAX_TICKS = 600
+
+
+def script_of(task: Task) -> ModuleType:
+    """Return the module of a task's scripted operator.
+
+    Raises:
+        UnknownNameError: The task has none.
+    """
+    name = f"{scripts.__name__}.{provenance.file_name(task)}"
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name:
+            raise
+        import pkgutil
+
+        available = [entry.name for entry in pkgutil.iter_modules(scripts.__path__)]
+        raise UnknownNameError("scripted operator", provenance.file_name(task), available) from None
+
+
+def record(
+    task: Task,
+    operator: Operator,
+    start: InitialState | None = None,
+    frame: Callable[[Simulation], None] | None = None,
+) -> Demonstration:
+    """Let an operator do a task and return the recording.
+
+    Args:
+        task: The task.
+        operator: Gives head and palm poses.
+        start: Where everything starts; the task's default state if not given.
+        frame: Called with the simulation before every command, for pictures.
+
+    Raises:
+        DemonstrationError: The task did not succeed, or no hand touched anything.
+    """
+    sim = Simulation(task)
+    sim.reset([start or task.default_state()])
+    ik = WholeBodyIK(sim.model)
+    for _ in range(SETTLE_TICKS):
+        sim.step(command.rest()[None])
+    snapshot = sim.snapshot()
+    rows: list[dict[str, np.ndarray]] = []
+    last = command.rest()
+    for tick in range(MAX_TICKS):
+        asked = operator.poses(_view(sim, tick))
+        if asked is None:
+            break
+        if frame is not None:
+            frame(sim)
+        solution = ik.solve(
+            T_world_pelvis=sim.pose("pelvis")[0],
+            joint_positions=sim.joint_positions[0],
+            T_world_left=asked.T_world_hands[0],
+            T_world_right=asked.T_world_hands[1],
+            previous=last,
+        )
+        last = solution.command.copy()
+        last[command.GRIPPERS] = asked.grippers
+        last = last.astype(np.float32).astype(np.float64)  # what is recorded is what was applied
+        row = measure(sim) | {"action": last.astype(np.float32), "hand_targets": pose_numbers(asked.T_world_hands)}
+        result = sim.step(last[None])
+        row["contact_forces"] = result.contact_forces[0].mean(axis=0)
+        row["success"] = sim.success()[0]
+        rows.append(row)
+    end = sim.snapshot()
+    demonstration = Demonstration(
+        task=task.name,
+        start=snapshot,
+        end=end,
+        metadata={
+            "format_version": FORMAT_VERSION,
+            "task": task.name,
+            "operator": operator.name,
+            "initial_state": start or task.default_state(),
+            "controller_hash": provenance.controller_hash(),
+            "model_hash": provenance.model_hash(sim.model),
+            "versions": installed_versions(),
+            "processor": platform.machine(),
+        },
+        **{name: np.stack([row[name] for row in rows]) for name in rows[0]},
+    )
+    sim.close()
+    require_contact(demonstration)
+    if not demonstration.success[-10:].all():
+        raise DemonstrationError(
+            f"a recording of {task.name} that holds success for {int(demonstration.success.sum())} ticks",
+            "success at the end, held for 1 s",
+            "record it again",
+        )
+    return demonstration
+
+
+def _view(sim: Simulation, tick: int) -> SceneView:
+    return SceneView(
+        tick=tick,
+        T_world_head=sim.pose("head_camera")[0],
+        T_world_pelvis=sim.pose("pelvis")[0],
+        T_world_hands=np.stack([sim.pose(f"{side}_palm")[0] for side in g1.SIDES]),
+        T_world_objects={entry.name: sim.pose(entry.name)[0] for entry in sim.task.objects},
+    )

@@ -1,0 +1,132 @@
+"""The run-time controller: same bits alone and in a batch, mirror symmetry, agreement with the trained network, bad files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command, features, reference
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
+from gym_demohlm.errors import SceneError
+from gym_demohlm.robot import g1
+
+
+def _random_inputs(count: int, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    quat = rng.normal([1, 0, 0, 0], 0.1, (count, 4))
+    commands = rng.uniform(command.LOWER, command.UPPER, (count, command.SIZE))
+    return {
+        "quat_wxyz": quat / np.linalg.norm(quat, axis=1, keepdims=True),
+        "gyro": rng.normal(0, 0.5, (count, 3)),
+        "q": g1.HOME + rng.normal(0, 0.1, (count, 29)),
+        "dq": rng.normal(0, 0.5, (count, 29)),
+        "commands": commands,
+    }
+
+
+def _run(worlds: list[int], ticks: int = 8, total: int = 21) -> tuple[np.ndarray, np.ndarray]:
+    controller = WholeBodyController(len(worlds))
+    index = np.arange(len(worlds))
+    inputs = {name: value[worlds] for name, value in _random_inputs(total, 0).items()}
+    start = {name: value for name, value in inputs.items() if name != "commands"}
+    controller.reset(index, **start)
+    targets = np.zeros((len(worlds), 29))
+    for tick in range(ticks):
+        inputs = {name: value[worlds] for name, value in _random_inputs(total, 1 + tick).items()}
+        targets = controller.step(**inputs)
+    return targets, controller.state
+
+
+def test_same_bits_alone_and_in_any_batch() -> None:
+    together, state = _run(list(range(21)))
+    for group in ([0], [5], [20], [3, 17], [20, 19, 0], list(range(20, -1, -1))):
+        targets, own_state = _run(group)
+        assert np.array_equal(targets, together[group])
+        assert np.array_equal(own_state, state[group])
+
+
+def test_subset_of_worlds_moves_only_itself() -> None:
+    controller = WholeBodyController(4)
+    inputs = _random_inputs(4, 3)
+    start = {name: value for name, value in inputs.items() if name != "commands"}
+    controller.reset(np.arange(4), **start)
+    before = controller.state.copy()
+    some = np.array([2, 0])
+    controller.step(**{name: value[some] for name, value in inputs.items()}, worlds=some)
+    assert np.array_equal(controller.state[[1, 3]], before[[1, 3]])
+    assert not np.array_equal(controller.state[some], before[some])
+
+
+def test_state_restores_a_moment() -> None:
+    controller = WholeBodyController(3)
+    inputs = _random_inputs(3, 5)
+    controller.reset(np.arange(3), **{name: value for name, value in inputs.items() if name != "commands"})
+    saved = controller.state.copy()
+    first = controller.step(**inputs)
+    controller.step(**inputs)
+    controller.state = saved
+    assert np.array_equal(controller.step(**inputs), first)
+
+
+def test_mirrored_robot_gets_mirrored_targets() -> None:
+    rng = np.random.default_rng(2)
+    observed = rng.normal(size=(16, features.OBSERVATION_SIZE)).astype(np.float32)
+    controller = WholeBodyController(16)
+    plain = controller._act(observed)
+    mirrored = controller._act(features.mirror(observed, features.OBSERVATION_MIRROR))
+    np.testing.assert_allclose(features.mirror(mirrored, features.ACTION_MIRROR), plain, atol=1e-4)
+
+
+def test_mirroring_twice_is_the_identity() -> None:
+    rows = np.random.default_rng(4).normal(size=(3, features.OBSERVATION_SIZE))
+    twice = features.mirror(features.mirror(rows, features.OBSERVATION_MIRROR), features.OBSERVATION_MIRROR)
+    assert np.array_equal(twice, rows)
+
+
+def test_clock_rests_when_the_command_stops_and_starts_again() -> None:
+    phase, stopped, standing = np.array([0.2]), np.array([0.0]), np.array([False])
+    still = np.zeros((1, 3))
+    ticks = 0
+    while not standing[0]:
+        phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still)
+        ticks += 1
+        assert ticks < 100
+    assert ticks * reference.CONTROL_DT >= reference.STEPS_TO_SQUARE_UP * reference.GAIT.period_s
+    assert phase[0] in reference.REST_PHASES
+    rested = phase.copy()
+    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still)
+    assert standing[0] and phase[0] == rested[0]
+    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, np.array([[0.3, 0, 0]]))
+    assert not standing[0] and phase[0] != rested[0]
+
+
+def test_reference_puts_the_soles_at_the_commanded_height() -> None:
+    table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES)))
+    pose = reference.Reference(table)
+    heights = np.linspace(0.5, 0.74, 7)
+    commands = np.zeros((7, 7))
+    commands[:, 3] = heights
+    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool))
+    hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
+    reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
+    np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)
+    np.testing.assert_allclose(hip + knee + ankle, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04broken"])
+def test_damaged_weights_are_a_clear_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "weights.npz"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match="cannot be read"):
+        WholeBodyController(1, path)
+
+
+def test_weights_of_another_format_are_refused(tmp_path: Path) -> None:
+    with np.load(DEFAULT_WEIGHTS) as arrays:
+        loaded = dict(arrays)
+    text = loaded["metadata"].tobytes().replace(b'"format": 1', b'"format": 9')
+    loaded["metadata"] = np.frombuffer(text, dtype=np.uint8)
+    path = tmp_path / "weights.npz"
+    np.savez(path, allow_pickle=False, **loaded)
+    with pytest.raises(SceneError, match="format 9"):
+        WholeBodyController(1, path)
