@@ -1,7 +1,8 @@
 """Every exception of the project: what was got, what was expected, and what to do about it."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 
 class DemoHLMError(Exception):
@@ -16,6 +17,16 @@ class DemoHLMError(Exception):
     def __init__(self, got: str, expected: str, remedy: str) -> None:
         super().__init__(f"got {got}; expected {expected}; {remedy}")
         self.got, self.expected, self.remedy = got, expected, remedy
+
+    def __reduce__(self) -> tuple[Callable[..., "DemoHLMError"], tuple[Any, ...]]:
+        """Travel whole between processes: pickle would call ``__init__`` with the message alone."""
+        return _rebuild, (type(self), self.got, self.expected, self.remedy)
+
+
+def _rebuild(kind: type[DemoHLMError], got: str, expected: str, remedy: str) -> DemoHLMError:
+    error = kind.__new__(kind)
+    DemoHLMError.__init__(error, got, expected, remedy)
+    return error
 
 
 class UnknownNameError(DemoHLMError):

@@ -67,9 +67,9 @@ def interpolate(T0: ArrayLike, T1: ArrayLike, u: ArrayLike) -> np.ndarray:
 
 def planar(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> np.ndarray:
     """Return the pose of a planar motion: x, y [m] and a turn about the vertical [rad]."""
-    x, y, yaw = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in (x, y, yaw)))
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    T = np.zeros((*x.shape, 4, 4))
+    angle = np.asarray(yaw, dtype=np.float64)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    T = np.zeros((*np.broadcast_shapes(np.shape(x), np.shape(y), angle.shape), 4, 4))
     T[..., 0, 0], T[..., 0, 1] = cosine, -sine
     T[..., 1, 0], T[..., 1, 1] = sine, cosine
     T[..., 2, 2] = T[..., 3, 3] = 1.0
@@ -112,9 +112,9 @@ def rpy(R: ArrayLike) -> np.ndarray:
 
 def rotation_from_rpy(angles: ArrayLike) -> np.ndarray:
     """Return ``Rz(yaw) @ Ry(pitch) @ Rx(roll)`` (..., 3, 3) of roll, pitch, yaw (..., 3) [rad]."""
-    angles = np.asarray(angles, dtype=np.float64)
-    cr, cp, cy = (np.cos(angles[..., axis]) for axis in range(3))
-    sr, sp, sy = (np.sin(angles[..., axis]) for axis in range(3))
+    by_axis = np.moveaxis(np.asarray(angles, dtype=np.float64), -1, 0)
+    cr, cp, cy = np.cos(by_axis)
+    sr, sp, sy = np.sin(by_axis)
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -142,9 +142,8 @@ def rotation_from_vector(vector: ArrayLike) -> np.ndarray:
 
 def quat_to_matrix(quat_wxyz: ArrayLike) -> np.ndarray:
     """Return the rotation matrix (..., 3, 3) of a quaternion (..., 4) of any length but zero."""
-    quat_wxyz = np.asarray(quat_wxyz, dtype=np.float64)
-    quat_wxyz = quat_wxyz / np.linalg.norm(quat_wxyz, axis=-1, keepdims=True)
-    w, x, y, z = (quat_wxyz[..., index] for index in range(4))
+    quat = np.asarray(quat_wxyz, dtype=np.float64)
+    w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

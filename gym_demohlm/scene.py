@@ -68,6 +68,7 @@ class Scene:
         self._check_actuators()
         self.contact_address = self._forces([_contact_name(side, name) for side, name in task.contact_pairs])
         self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
+        self._standing_height = self._find_standing_height()
         self._placements = tuple(self._placement(entry) for entry in task.objects)
         bodies = {model.body(index).name: ("body", index) for index in range(model.nbody)}
         sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
@@ -97,7 +98,7 @@ class Scene:
         (x, y, yaw), (dy, dz, dyaw) = (_three_numbers(initial_state, key) for key in ("robot", "object"))
         model = self.model
         qpos = model.qpos0.copy()
-        qpos[self.base_qpos : self.base_qpos + 7] = x, y, g1.PELVIS_HEIGHT, *_yaw_quat(yaw)
+        qpos[self.base_qpos : self.base_qpos + 7] = x, y, self._standing_height, *_yaw_quat(yaw)
         qpos[self.body_qpos] = g1.HOME
         mocap_bodies = np.argsort(model.body_mocapid, kind="stable")[model.nbody - model.nmocap :]
         mocap_pos = model.body_pos[mocap_bodies].copy()
@@ -113,8 +114,17 @@ class Scene:
             else:
                 mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
         for index in self._supports:
-            mocap_pos[index, 2] += dz
+            mocap_pos[index, 1:] += dy, dz
         return qpos, mocap_pos, mocap_quat
+
+    def _find_standing_height(self) -> float:
+        """Return the height of the pelvis [m] at which the soles of the home pose touch the floor."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.body_qpos] = g1.HOME
+        data.qpos[self.base_qpos : self.base_qpos + 7] = 0, 0, 0, 1, 0, 0, 0
+        mujoco.mj_kinematics(self.model, data)
+        points = [f"{side}_foot_point_{index}" for side in g1.SIDES for index in range(len(g1.FOOT_POINTS))]
+        return g1.FOOT_POINT_RADIUS - min(float(data.geom(name).xpos[2]) for name in points)
 
     def _joints(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         joints = [self.model.joint(name) for name in names]
@@ -210,11 +220,14 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         condim=3,
         friction=[0.8, 0.005, 0.0001],
     )
+    lamp = np.array([0.8, -1.6, 3.2])
     world.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 4],
-        dir=[-0.3, 0.4, -0.9],
+        name="lamp",
+        type=mujoco.mjtLightType.mjLIGHT_SPOT,
+        pos=lamp,
+        dir=np.array([-0.3, 0.0, 0.4]) - lamp,
+        cutoff=75,
+        exponent=1,
         diffuse=[0.5, 0.5, 0.5],
         castshadow=True,
     )

@@ -44,8 +44,8 @@ class Region:
         robot_x: Pelvis x [m].
         robot_y: Pelvis y [m].
         robot_yaw: Pelvis heading [rad].
-        object_y: Added to the object's default y [m].
-        object_z: Added to the object's default z, and to its support's [m].
+        object_y: Added to the default y of the object and its support [m].
+        object_z: Added to the default z of the object and its support [m].
         object_yaw: Added to the object's default yaw [rad].
     """
 
@@ -137,7 +137,7 @@ class Task:
         objects: Tracked objects, in the order of ``environment_state``.
         success: The paper's success condition.
         gaze_target: The object that the neck keeps in view.
-        supports: Mocap bodies that follow the region's z offset.
+        supports: Mocap bodies under the placed objects; they follow the region's y and z offsets.
         obstacles: Bodies that the robot should not touch; their contacts are reported as collisions.
         contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
         failures: Named predicates that say how the task went wrong, such as "dropped".

@@ -79,7 +79,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,
+        seed: int | Sequence[int | None] | np.ndarray | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin new episodes.
@@ -95,8 +95,8 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         worlds = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        if isinstance(seed, Sequence):
-            seeds = list(seed)
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = [None if each is None else int(each) for each in seed]
         else:
             seeds = [None if seed is None else seed + world for world in range(self.num_envs)]
         given = options.pop("initial_state", None)

@@ -1,7 +1,7 @@
 """DemoHLM for LeRobot: demonstrations in, datasets, policies and their scores out.
 
-Importing this package is cheap. LeRobot learns of the environments and of the policy through ``lerobot_env_demohlm``, which
-it imports by itself and which calls ``register``.
+Importing this package is cheap. LeRobot learns of the environments and of the policy through ``lerobot_env_demohlm``,
+which it imports by itself and which calls ``register``.
 """
 
 import importlib

@@ -1,18 +1,19 @@
-"""An attempt at a task as arrays -> the facts and records that a dataset keeps of it. Imports neither torch nor lerobot.
+"""An attempt at a task as arrays -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
 What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py``, which imports
 lerobot only where it writes or merges, through ``dataset_files.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
-3. ``GenerationRun.open(root, repo_id, facts)``: starts the run or resumes a killed one. Raises ``DatasetError`` where
-   ``root`` exists, or where ``<root>.partial`` was begun with other facts. Nothing appears under ``root`` until the end.
-4. Attempts are cut into blocks of ``facts.block_size`` consecutive ones. ``run.pending_blocks()`` yields the ``range`` of
-   attempt indices of every block that is not on disk, in order, for as long as the target is not met.
-5. ``write_block(run.directory, facts, attempts, episodes)`` writes one block as a small finalized dataset. Callable from
-   any process; the block appears by one atomic rename, so ``kill -9`` loses only blocks that were still being computed.
-6. ``run.finish(progress)`` merges the blocks in the order of the attempts, whatever worker computed them, drops what lies
-   past the target, writes ``meta/demohlm.json``, ``meta/demohlm_attempts.jsonl`` and the card, and renames it to ``root``.
+3. ``GenerationRun.open(root, repo_id, facts)``: starts the run or resumes a killed one. Raises ``DatasetError``
+   where ``root`` exists, or where ``<root>.partial`` was begun with other facts. Nothing is at ``root`` until the end.
+4. Attempts are cut into blocks of ``facts.block_size`` consecutive ones. ``run.pending_blocks()`` yields the
+   ``range`` of attempt indices of every block that is not on disk, in order, while the target is not met.
+5. ``write_block(run.directory, facts, attempts, episodes)`` writes one block as a small finalized dataset. Callable
+   from any process; the block appears by one rename, so ``kill -9`` loses only blocks still being computed.
+6. ``run.finish(progress)`` merges the blocks in the order of the attempts, whatever worker computed them, drops what
+   lies past the target, writes ``meta/demohlm.json``, ``meta/demohlm_attempts.jsonl`` and the card, and renames it to
+   ``root``.
 
 Only successful episodes are frames of the dataset; every attempt, failed ones included, is a line of
 ``meta/demohlm_attempts.jsonl``. With ``facts.keep_failures`` failed attempts that have frames become a second dataset,

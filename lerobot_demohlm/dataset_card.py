@@ -20,9 +20,11 @@ def render_card(meta: LeRobotDatasetMetadata, repo_id: str, facts: dict[str, Any
     """
     template = (importlib.resources.files("lerobot_demohlm.dataset_cards") / TEMPLATE).read_text()
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, keep_trailing_newline=True)
-    return environment.from_string(template).render(
-        repo_id=repo_id, facts=facts, info=meta.info, features=meta.features
-    ).lstrip()
+    return (
+        environment.from_string(template)
+        .render(repo_id=repo_id, facts=facts, info=meta.info, features=meta.features)
+        .lstrip()
+    )
 
 
 def write_card(root: Path, repo_id: str, facts: dict[str, Any]) -> None:

@@ -123,13 +123,13 @@ def read_arrays(root: Path) -> Iterator[dict[str, np.ndarray]]:
     files = {meta.get_data_file_path(index): None for index in range(meta.total_episodes)}
     for file in files:
         table = pq.read_table(root / file)
-        arrays = {name: _numpy(table.column(name)) for name in table.column_names}
+        arrays = {name: to_numpy(table.column(name)) for name in table.column_names}
         starts = np.flatnonzero(np.diff(arrays["episode_index"], prepend=-1))
         for start, stop in zip(starts, [*starts[1:], len(table)], strict=True):
             yield {name: array[start:stop] for name, array in arrays.items()}
 
 
-def _numpy(column: pa.ChunkedArray) -> np.ndarray:
+def to_numpy(column: pa.ChunkedArray) -> np.ndarray:
     """Convert an Arrow column of numbers or of equally long lists to (T,) or (T, D)."""
     array = column.combine_chunks()
     if pa.types.is_list(array.type) or pa.types.is_fixed_size_list(array.type):

@@ -1,10 +1,9 @@
 """Small datasets of this package in order -> one dataset, row group by row group.
 
-The result equals what LeRobot's ``aggregate_datasets`` makes of the same parts (a test compares them). LeRobot's takes half
-a second a part to open it and rewrites the merged file for each of them, which is minutes for a thousand episodes.
+The result equals what LeRobot's ``aggregate_datasets`` makes of the same parts (a test compares them). LeRobot's takes
+half a second to open a part and rewrites the merged file for each, which is minutes for a thousand episodes.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -71,44 +70,42 @@ def merge(
     limit = (file_size_mb or meta.info.data_files_size_in_mb) * 2**20
     tasks = load_tasks(parts[0])
     meta.save_episode_tasks(list(tasks.index))
-    writer: pq.ParquetWriter | None = None
-    rows, stats, file_index = [], [], 0
+    writers: list[pq.ParquetWriter] = []  # one a data file, all but the last closed
+    rows, stats = [], []
     for done, part in enumerate(parts, start=1):
         info = load_info(part)
         if info.features != first.features or not load_tasks(part).equals(tasks):
-            raise DatasetError(f"{part} with other features or tasks", f"those of {parts[0]}", "merge one task at a time")
+            got, expected = f"{part} with other features or tasks", f"those of {parts[0]}"
+            raise DatasetError(got, expected, "merge one task at a time")
         source = pq.ParquetFile(part / data_file(0))
-        if writer is not None and (root / data_file(file_index)).stat().st_size >= limit:
-            writer.close()
-            writer, file_index = None, file_index + 1
-        if writer is None:
-            writer = pq.ParquetWriter(root / _made(root, data_file(file_index)), source.schema_arrow, compression="snappy")
+        if not writers or (root / data_file(len(writers) - 1)).stat().st_size >= limit:
+            for writer in writers[-1:]:
+                writer.close()
+            target = _with_folder(root, data_file(len(writers)))
+            writers.append(pq.ParquetWriter(target, source.schema_arrow, compression="snappy"))
+        episodes, frames = meta.info.total_episodes, meta.info.total_frames
         for group in range(source.num_row_groups):
-            writer.write_table(_shifted(source.read_row_group(group), meta.info.total_episodes, meta.info.total_frames))
-        rows.append(
-            _shifted_rows(
-                pq.read_table(part / episodes_file(0)), meta.info.total_episodes, meta.info.total_frames, file_index
-            )
-        )
+            writers[-1].write_table(_shifted(source.read_row_group(group), episodes, frames))
+        rows.append(_shifted_rows(pq.read_table(part / episodes_file(0)), episodes, frames, len(writers) - 1))
         stats.append(load_stats(part))
         meta.info.total_episodes += info.total_episodes
         meta.info.total_frames += info.total_frames
         if progress is not None:
             progress(done, len(parts))
-    if writer is not None:
-        writer.close()
-    pq.write_table(pa.concat_tables(rows), root / _made(root, episodes_file(0)), compression="snappy")
+    writers[-1].close()
+    pq.write_table(pa.concat_tables(rows), _with_folder(root, episodes_file(0)), compression="snappy")
     meta.info.total_tasks = len(tasks)
     meta.info.splits = {"train": f"0:{meta.info.total_episodes}"}
     write_info(meta.info, root)
-    write_stats(aggregate_stats(stats), root)
+    merged_stats = aggregate_stats(stats)
+    write_stats({key: merged_stats[key] for key in meta.features}, root)  # LeRobot's order changes with the hash seed
     LeRobotDataset(repo_id, root=root)  # opens, or the merge is not handed over
 
 
-def _made(root: Path, relative: Path) -> Path:
+def _with_folder(root: Path, relative: Path) -> Path:
     """Make a file's folder and return the file's path."""
     (root / relative).parent.mkdir(parents=True, exist_ok=True)
-    return relative
+    return root / relative
 
 
 def _shifted(table: pa.Table, episodes: int, frames: int) -> pa.Table:

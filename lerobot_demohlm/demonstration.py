@@ -1,4 +1,4 @@
-"""One recorded demonstration <-> a one-episode LeRobot dataset; replayed, it gives the same bits.
+"""One recorded demonstration <-> a one-episode LeRobot dataset.
 
 Row t holds what was measured before command t and the contact forces while it was carried out. Poses are 7 numbers,
 position [m] and quaternion wxyz, in the world. Beside the data lie ``meta/demonstration.json`` (task, versions,
@@ -12,7 +12,7 @@ import hashlib
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ SNAPSHOTS_PATH = Path("meta/snapshots.npz")
 CORRECTIONS_PATH = Path("meta/segments.json")
 _PACKAGED = Path(__file__).parent / "demonstrations"
 _POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
-_ARRAYS = (
+ARRAYS = (
     "state", "environment_state", "action", "pelvis_pose", "hand_poses", "hand_targets", "object_poses",
     "contact_forces", "success",
 )  # fmt: skip
@@ -79,7 +79,7 @@ class Demonstration:
 
     def __post_init__(self) -> None:
         """Check that every array has one row a tick and finite numbers."""
-        for name in _ARRAYS:
+        for name in ARRAYS:
             array = getattr(self, name)
             if len(array) != len(self.action) or len(array) == 0:
                 raise DemonstrationError(
@@ -123,7 +123,7 @@ class Demonstration:
         digest = hashlib.sha256()
         facts = {key: self.metadata.get(key) for key in ("controller_hash", "model_hash")}
         digest.update(json.dumps([FORMAT_VERSION, self.task, facts, self.corrections], sort_keys=True).encode())
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays = {name: getattr(self, name) for name in ARRAYS}
         arrays |= {f"start/{name}": array for name, array in self.start.items()}
         arrays |= {f"end/{name}": array for name, array in self.end.items()}
         for name in sorted(arrays):
@@ -327,64 +327,6 @@ def _read(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Replay:
-    """How a replay compares with the recording.
-
-    Attributes:
-        num_ticks: Commands replayed.
-        first_difference: First tick whose measurements differ in any bit; None where none does.
-        end_identical: Whether the simulation's whole state after the last command is bit for bit the recorded one.
-        largest_difference: Of all joint positions [rad].
-        remarks: What differs in the installation: controller, model, versions.
-    """
-
-    num_ticks: int
-    first_difference: int | None
-    end_identical: bool
-    largest_difference: float
-    remarks: tuple[str, ...]
-
-    @property
-    def identical(self) -> bool:
-        """Whether every bit agrees."""
-        return self.first_difference is None and self.end_identical
-
-
-def replay(demonstration: Demonstration, frame: Callable[[Simulation], None] | None = None) -> Replay:
-    """Send the recorded commands to the recorded start and compare, bit for bit.
-
-    Args:
-        demonstration: The recording.
-        frame: Called with the simulation before every command, for pictures.
-    """
-    task = get_task(demonstration.task)
-    sim = Simulation(task)
-    remarks = tuple(_installation_differences(demonstration, sim))
-    sim.restore(demonstration.start)
-    first, largest = None, 0.0
-    for tick in range(len(demonstration)):
-        if frame is not None:
-            frame(sim)
-        row = measure(sim)
-        differs = any(row[name].tobytes() != getattr(demonstration, name)[tick].tobytes() for name in row)
-        if differs and first is None:
-            first = tick
-        joints = row["state"][: len(g1.BODY_JOINTS)] - demonstration.joint_positions[tick]
-        largest = max(largest, float(np.abs(joints).max()))
-        sim.step(demonstration.action[tick][None].astype(np.float64))
-    end = sim.snapshot()
-    same = all(end[name].tobytes() == demonstration.end[name].tobytes() for name in end)
-    sim.close()
-    return Replay(
-        num_ticks=len(demonstration),
-        first_difference=first,
-        end_identical=same,
-        largest_difference=largest,
-        remarks=remarks,
-    )
-
-
 def measure(sim: Simulation) -> dict[str, np.ndarray]:
     """Return the row of a demonstration that can be measured before a command, from a simulation of one world."""
     hands = np.stack([sim.pose(f"{side}_palm")[0] for side in g1.SIDES])
@@ -396,13 +338,6 @@ def measure(sim: Simulation) -> dict[str, np.ndarray]:
         "hand_poses": pose_numbers(hands),
         "object_poses": pose_numbers(objects),
     }
-
-
-def _installation_differences(demonstration: Demonstration, sim: Simulation) -> Iterator[str]:
-    now = {"controller_hash": provenance.controller_hash(), "model_hash": provenance.model_hash(sim.model)}
-    for key, value in now.items():
-        if demonstration.metadata.get(key) != value:
-            yield f"{key.replace('_', ' ')} {str(demonstration.metadata.get(key))[:12]} recorded, {value[:12]} now"
 
 
 @contextlib.contextmanager

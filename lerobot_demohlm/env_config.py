@@ -74,9 +74,7 @@ class DemoHLMEnvConfig(EnvConfig):
         """What the environments are made with."""
         return {"obs_type": self.obs_type, "render_mode": self.render_mode, "region": self.region}
 
-    def create_envs(
-        self, n_envs: int, use_async_envs: bool = False
-    ) -> dict[str, dict[int, gym.vector.VectorEnv]]:
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{task: {0: environments}}``.
 
         Args:

@@ -8,8 +8,9 @@ On disk, beside the future root::
         episodes/                        LeRobot dataset of the successes, if any
         failures/                        LeRobot dataset of the failures, if asked for and any
 
-A block is a function of the facts and its attempts alone, so a run that was killed and resumed ends in the same files as
-one that never was, and so does one with more workers. The blocks on disk are the manifest: nothing can disagree with them.
+A block is a function of the facts and its attempts alone, so a run that was killed and resumed ends in the same files
+as one that never was, and so does one with more workers. The blocks on disk are the manifest: nothing can disagree
+with them.
 """
 
 import json
@@ -143,8 +144,8 @@ class GenerationRun:
     def pending_blocks(self) -> Iterator[range]:
         """Yield the attempts of blocks that are to be computed, in order, until those on disk meet the target.
 
-        The generator looks at the disk each time it is asked, so a runner draws the next block when a worker is free, and
-        the number of blocks computed in vain past a ``num_episodes`` target is at most the number of workers minus one.
+        The generator looks at the disk each time it is asked. So a runner that draws the next block when a worker is
+        free computes at most as many blocks past a ``num_episodes`` target as it has further workers.
         """
         block = 0
         while not self._met(self.records()):
@@ -182,7 +183,7 @@ class GenerationRun:
         merged = self.directory / "merged"
         shutil.rmtree(merged, ignore_errors=True)
         merged.mkdir()
-        for name, root in (("episodes", self.root), ("failures", failures_root(self.root))):
+        for name in ("episodes", "failures"):
             parts = self._parts(name, records, merged)
             if not parts:
                 continue
@@ -233,4 +234,5 @@ class GenerationRun:
 
 def _belongs(record: dict[str, Any], name: str) -> bool:
     """Tell whether an attempt is in its block's ``episodes`` or ``failures`` dataset."""
-    return record["outcome"] == "success" if name == "episodes" else record["outcome"] != "success" and record["frames"] > 0
+    succeeded = record["outcome"] == "success"
+    return succeeded if name == "episodes" else not succeeded and record["frames"] > 0

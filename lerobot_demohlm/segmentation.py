@@ -5,8 +5,10 @@ Before a hand touches an object it follows the object (pre-manipulation); from t
 presses begins that touch. Hands that take one object at about the same time switch together.
 """
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +17,7 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
 from gym_demohlm.task import get_task
-from lerobot_demohlm.demonstration import CONTACT_FORCE_N, Demonstration, require_contact
+from lerobot_demohlm.demonstration import CONTACT_FORCE_N, Demonstration, load, require_contact
 from lerobot_demohlm.generation.retarget import ANCHORS, Anchor
 
 CONTACT_TICKS = 2  # a touch or a release counts once it has lasted this long (0.2 s)
@@ -223,3 +225,21 @@ def groups(segments: Sequence[Segment]) -> list[tuple[Segment, ...]]:
         key = (entry.kind, entry.start, entry.object or entry.hand)
         grouped.setdefault(key, []).append(entry)
     return [tuple(group) for _, group in sorted(grouped.items(), key=lambda item: item[0][1])]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm segment``."""
+    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
+    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the events and segments of a demonstration."""
+    demonstration = load(arguments.root, get_task(arguments.task))
+    print("   tick  hand   event")
+    for event in events(demonstration):
+        print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
+    print("\n  ticks    hand   follows")
+    for entry in segment(demonstration):
+        what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
+        print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")

@@ -17,8 +17,8 @@ SIZES = {"observation.state": 6, "observation.environment_state": 3, "action": 4
 
 
 def make_config(**changes: object) -> ChunkedMLPConfig:
-    values: dict = {"device": "cpu", "chunk_size": 5, "n_action_steps": 2, "hidden_dims": [16, 32], "push_to_hub": False}
-    config = ChunkedMLPConfig(**(values | changes))
+    values: dict = {"chunk_size": 5, "n_action_steps": 2, "hidden_dims": [16, 32]}
+    config = ChunkedMLPConfig(device="cpu", push_to_hub=False, **(values | changes))
     config.input_features = {
         "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(6,)),
         "observation.environment_state": PolicyFeature(type=FeatureType.ENV, shape=(3,)),

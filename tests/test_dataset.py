@@ -105,7 +105,8 @@ def test_written_content_equals_that_of_lerobots_writer(tmp_path: Path) -> None:
         assert ours.schema.equals(reference.schema)
         assert ours.equals(reference), path
     for path in ("meta/info.json", "meta/stats.json"):
-        assert json.loads((tmp_path / "ours" / path).read_text()) == json.loads((tmp_path / "theirs" / path).read_text())
+        ours, reference = (json.loads((tmp_path / who / path).read_text()) for who in ("ours", "theirs"))
+        assert ours == reference
 
 
 def test_merge_equals_that_of_lerobot(tmp_path: Path) -> None:
@@ -113,7 +114,8 @@ def test_merge_equals_that_of_lerobot(tmp_path: Path) -> None:
 
     parts = [tmp_path / f"part{number}" for number in range(3)]
     for number, part in enumerate(parts):
-        dataset_files.write_dataset(part, "a/b", [make_episode(3 * number + i, length=4 + i) for i in range(number + 1)])
+        episodes = [make_episode(3 * number + i, length=4 + i) for i in range(number + 1)]
+        dataset_files.write_dataset(part, "a/b", episodes)
     dataset_merge.merge(parts, "user/name", tmp_path / "ours")
     aggregate_datasets(["a/b"] * 3, "user/name", roots=parts, aggr_root=tmp_path / "theirs")
     for path in ("data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"):
@@ -125,7 +127,8 @@ def test_merge_equals_that_of_lerobot(tmp_path: Path) -> None:
             else:
                 np.testing.assert_allclose(ours[name], values, rtol=1e-12, atol=1e-12, err_msg=name)
     for path in ("meta/info.json", "meta/stats.json"):
-        assert json.loads((tmp_path / "ours" / path).read_text()) == json.loads((tmp_path / "theirs" / path).read_text())
+        ours, reference = (json.loads((tmp_path / who / path).read_text()) for who in ("ours", "theirs"))
+        assert ours == reference
 
 
 def test_merge_rotates_files(tmp_path: Path) -> None:
@@ -159,7 +162,7 @@ def test_facts_and_card(tmp_path: Path) -> None:
     assert records[3]["initial_state"] == episode_of(3).initial_state
     card = (tmp_path / "data/README.md").read_text()
     assert card.startswith("---\nlicense: apache-2.0\n")
-    for text in ("LeRobotDataset(\"user/name\")", "| Attempts | 10 |", "| Failed: fell | 3 |", "left_elbow.pos"):
+    for text in ('LeRobotDataset("user/name")', "| Attempts | 10 |", "| Failed: fell | 3 |", "left_elbow.pos"):
         assert text in card
 
 
@@ -209,7 +212,8 @@ def test_killed_while_writing_then_resumed_equals_never_killed(tmp_path: Path) -
         "t.compute(run, next(compute))\n"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
-    with subprocess.Popen([sys.executable, "-c", script, str(root)], stdout=subprocess.PIPE, env=environment) as process:
+    arguments = [sys.executable, "-c", script, str(root)]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == b"writing"  # in the middle of the second block
         process.send_signal(signal.SIGKILL)
@@ -230,7 +234,7 @@ def test_killed_while_writing_then_resumed_equals_never_killed(tmp_path: Path) -
 def test_resume_with_other_facts_is_refused(tmp_path: Path) -> None:
     GenerationRun.open(tmp_path / "data", "user/name", make_facts())
     GenerationRun.open(tmp_path / "data", "user/name", make_facts())
-    with pytest.raises(DatasetError, match="seed=0.*seed=1"):
+    with pytest.raises(DatasetError, match=r"seed=0.*seed=1"):
         GenerationRun.open(tmp_path / "data", "user/name", make_facts(seed=1))
 
 

@@ -149,6 +149,22 @@ def test_many_worlds_are_as_many_single_ones(monkeypatch: pytest.MonkeyPatch) ->
             assert ours[3].all() == (step == 2)
 
 
+def test_gymnasium_makes_the_vector_environment() -> None:
+    env = gym.make_vec(
+        "DemoHLM/LiftBox-v0",
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        controller=HoldController(2),
+        region="R1",
+    )
+    assert isinstance(env.unwrapped, DemoHLMVectorEnv) and env.unwrapped.region == "R1"
+    first, _ = env.reset(seed=[5, 9])  # pyright: ignore[reportArgumentType]
+    second, _ = env.reset(seed=np.array([5, 9]))  # pyright: ignore[reportArgumentType]
+    assert_same(first, second)
+    assert env.observation_space.contains(first)
+    env.close()
+
+
 def assert_infos_alike(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
     assert theirs.keys() == ours.keys()
     for key, value in theirs.items():

@@ -1,4 +1,4 @@
-"""The gaze controller on the real kinematics of the neck: a target is centred, stays centred, and never leaves limits."""
+"""The gaze controller on the kinematics of the neck: a target is centred and stays so, within the joint limits."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""The run-time controller: same bits alone and in a batch, mirror symmetry, agreement with the trained network, bad files."""
+"""The run-time controller: same bits alone and in a batch, mirror symmetry, the gait clock, bad files."""
 
 from pathlib import Path
 

@@ -37,7 +37,7 @@ for _bound in (LOWER, UPPER):
 
 
 def rest() -> np.ndarray:
-    """Return the command of a robot standing at rest, (23,): no velocity, torso upright, arms at home, grippers open."""
+    """Return the command of a robot at rest, (23,): no velocity, torso upright, arms at home, grippers open."""
     command = np.zeros(SIZE)
     command[HEIGHT] = g1.PELVIS_HEIGHT
     command[ARMS] = g1.HOME[len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS) :]
@@ -68,7 +68,7 @@ def clip(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         commands: (N, 23).
 
     Returns:
-        The clipped commands (N, 23), and how many numbers of each were out of bounds by more than float32 rounding (N,).
+        The clipped commands (N, 23), and how many numbers of each were out of bounds, beyond float32 rounding (N,).
     """
     clipped = np.clip(commands, LOWER, UPPER)
     return clipped, (np.abs(clipped - commands) > 1e-6).sum(axis=1)

@@ -67,7 +67,9 @@ def observation(
     clock = [np.sin(2 * np.pi * phase) * walking, np.cos(2 * np.pi * phase) * walking, standing.astype(np.float64)]
     command = (command[:, :7] - _COMMAND_OFFSET) * _COMMAND_SCALE
     rows = len(history)
-    return np.concatenate([history.reshape(rows, -1), last_action, arm_targets, command, np.stack(clock, axis=1)], axis=1)
+    return np.concatenate(
+        [history.reshape(rows, -1), last_action, arm_targets, command, np.stack(clock, axis=1)], axis=1
+    )
 
 
 def _mirror_joints(joints: tuple[str, ...]) -> tuple[list[int], list[float]]:

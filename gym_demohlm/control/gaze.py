@@ -1,10 +1,10 @@
 """The target's position in the head camera -> new neck angles that bring it to the middle of the image.
 
 The paper's proportional controller, section "Low-Level Whole-body Controller": angular velocities proportional to the
-target's offset, clipped to a maximum, integrated to joint targets. Two mends. Axes: the paper writes ``-k y_c`` for yaw
-and ``-k x_c`` for pitch without naming its camera axes; here the camera has x forward, y left, z up, yaw turns left and
-pitch turns down, so a target on the left (y > 0) raises yaw and one above (z > 0) lowers pitch. Units: the offset is the
-bearing [rad] instead of metres, so the speed of convergence does not depend on the distance.
+target's offset, clipped to a maximum, integrated to joint targets. Two mends. Axes: the paper writes ``-k y_c`` for
+yaw and ``-k x_c`` for pitch without naming its camera axes; here the camera has x forward, y left, z up, yaw turns left
+and pitch turns down, so a target on the left (y > 0) raises yaw and one above (z > 0) lowers pitch. Units: the offset
+is the bearing [rad] instead of metres, so the speed of convergence does not depend on the distance.
 """
 
 from dataclasses import dataclass

@@ -1,12 +1,13 @@
 """Desired poses of the palms, in the world -> the command whose torso and arms bring them there.
 
-Two quadratic programs a call, both solved by placo. The torso pass sees the robot as the whole-body controller moves it:
-pelvis x, y and heading are as measured, and four joints that are the command itself (height, yaw, pitch, roll) carry the
-torso. The arm pass moves the arms alone on the torso as it is measured now, so the hands are right while the torso is
-still on its way. Bounds and rates are limits inside the programs: an unreachable target stretches the robot and stops.
+Two quadratic problems a call, with placo's kinematics and solver. The torso pass sees the robot as the whole-body
+controller moves it: pelvis x, y and heading are as measured, and four joints that are the command itself (height, yaw,
+pitch, roll) carry the torso. The arm pass moves the arms alone on the torso as it is measured now, so the hands are
+right while the torso is still on its way. Bounds and rates are limits inside the problems: an unreachable target
+stretches the robot and stops.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import mujoco
@@ -46,7 +47,7 @@ class IKSettings:
         arm_posture_weight: The same in the arm pass; it chooses the elbow's height.
         regularization: Damping of each step.
         error_damping: More of it, times the hands' weighted squared error.
-        iterations: Quadratic programs a pass.
+        iterations: Linearisations a pass.
     """
 
     height_rate: float = 0.3
@@ -83,33 +84,32 @@ class IKSolution:
     planned_position_error: np.ndarray
 
 
-@dataclass
 class _Pass:
-    """One placo problem: a robot on a fixed base, its joints, two palm tasks and a posture."""
+    """One problem: a robot on a fixed base, the joints that may move, two palms with targets and a posture.
 
-    description: str
-    joints: tuple[str, ...]
-    orientation_weight: float
-    posture_weight: float
-    settings: IKSettings
-    offsets: list[int] = field(init=False)
+    placo's own KinematicsSolver sums its tasks in the order of their memory addresses, so its last bits change from
+    process to process. Here the weighted rows of all tasks form one matrix, in a fixed order.
+    """
 
-    def __post_init__(self) -> None:
-        self.robot = placo.RobotWrapper("", placo.Flags.ignore_collisions, self.description)
-        self.solver = placo.KinematicsSolver(self.robot)
-        self.solver.mask_fbase(True)
-        self.solver.enable_joint_limits(True)
-        self.damping = self.solver.add_regularization_task(self.settings.regularization)
-        self.palms = [self.solver.add_frame_task(palm, np.eye(4)) for palm in _PALMS]
-        home = g1.HOME[-len(g1.ARM_JOINTS) :]
-        self.pull(dict(zip(g1.ARM_JOINTS, home, strict=True)), "arm_posture", self.posture_weight)
-        self.offsets = [self.robot.get_joint_offset(_joint(name)) for name in self.joints]
+    def __init__(
+        self, urdf_text: str, pulls: dict[str, tuple[float, float]], orientation_weight: float, settings: IKSettings
+    ) -> None:
+        """Load the robot.
 
-    def pull(self, posture: dict[str, float], name: str, weight: float) -> None:
-        """Pull joints to a posture with a weight."""
-        task = self.solver.add_joints_task()
-        task.set_joints({_joint(joint): float(angle) for joint, angle in posture.items()})
-        task.configure(name, "soft", weight)
+        Args:
+            urdf_text: Its description.
+            pulls: For each joint that may move, in the order of all arrays, the angle [rad] or height [m] that it is
+                pulled to, and the weight.
+            orientation_weight: Pull of a palm to its target orientation.
+            settings: The other weights.
+        """
+        self.settings = settings
+        self.robot = placo.RobotWrapper("", placo.Flags.ignore_collisions, urdf_text)
+        self.posture, self.posture_weight = np.array(list(pulls.values())).T
+        self.q_columns = [self.robot.get_joint_offset(_joint(name)) for name in pulls]
+        self.v_columns = [self.robot.get_joint_v_offset(_joint(name)) for name in pulls]
+        position = [settings.hand_position_weight] * 3
+        self.hand_scale = np.sqrt(position + [orientation_weight] * 3)  # (6,)
 
     def solve(
         self,
@@ -119,52 +119,59 @@ class _Pass:
         upper: np.ndarray,
         targets: list[np.ndarray | None],
     ) -> np.ndarray:
-        """Return the joints nearest the targets, within [lower, upper], starting from `start`."""
-        q = np.zeros(len(self.robot.state.q))
-        q[6] = 1.0
-        q[self.offsets] = start
-        self.robot.state.q = q
-        for name, low, high in zip(self.joints, lower, upper, strict=True):
-            self.robot.set_joint_limits(_joint(name), float(low), float(high))
-        self.robot.update_kinematics()
-        self.robot.set_T_world_fbase(T_world_base)
-        self.robot.update_kinematics()
-        for index, (task, target) in enumerate(zip(self.palms, targets, strict=True)):
-            weighted = target is not None
-            if target is not None:
-                task.T_world_frame = target
-            position_weight = self.settings.hand_position_weight if weighted else 0.0
-            task.configure(_PALMS[index], "soft", position_weight, self.orientation_weight if weighted else 0.0)
+        """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there."""
+        q = start.copy()
+        self.move(T_world_base, q)
         for _ in range(self.settings.iterations):
-            # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
-            position, orientation = self.errors(targets)
-            cost = self.settings.hand_position_weight * position @ position
-            cost += self.orientation_weight * orientation @ orientation
-            self.damping.configure("damping", "soft", self.settings.regularization + self.settings.error_damping * cost)
-            self.solver.solve(True)
-            self.robot.update_kinematics()
-        q = np.clip(np.array(self.robot.state.q)[self.offsets], lower, upper)
-        self.move(q)
+            step = self._step(q, lower, upper, targets)
+            q = np.clip(q + step, lower, upper)
+            self.move(T_world_base, q)
         return q
 
-    def move(self, q: np.ndarray) -> None:
-        """Put the robot into joints `q` on the base it stands on."""
-        state = np.array(self.robot.state.q)
-        state[self.offsets] = q
+    def move(self, T_world_base: np.ndarray, q: np.ndarray) -> None:
+        """Put the robot's base and joints where given."""
+        state = np.zeros(len(self.robot.state.q))
+        quat_wxyz = np.zeros(4)
+        mujoco.mju_mat2Quat(quat_wxyz, T_world_base[:3, :3].reshape(9))
+        state[:3], state[3:7] = T_world_base[:3, 3], quat_wxyz[[1, 2, 3, 0]]  # placo: x, y, z, w
+        state[self.q_columns] = q
         self.robot.state.q = state
         self.robot.update_kinematics()
 
-    def errors(self, targets: list[np.ndarray | None]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the palms' distances (2,) [m] and angles (2,) [rad] from their targets."""
-        position, orientation = np.zeros(2), np.zeros(2)
-        for index, (palm, target) in enumerate(zip(_PALMS, targets, strict=True)):
+    def errors(self, targets: list[np.ndarray | None]) -> np.ndarray:
+        """Return each palm's way to its target: translation [m] and rotation vector [rad] in the world, (2, 6)."""
+        errors, quat_wxyz = np.zeros((2, 6)), np.zeros(4)
+        for error, palm, target in zip(errors, _PALMS, targets, strict=True):
             if target is not None:
                 T = self.robot.get_T_world_frame(palm)
-                position[index] = np.linalg.norm(T[:3, 3] - target[:3, 3])
-                # The chord of a rotation, |R1 - R2| = 2 sqrt(2) sin(angle / 2), is accurate at small angles.
-                chord = np.linalg.norm(T[:3, :3] - target[:3, :3]) / np.sqrt(8.0)
-                orientation[index] = 2 * np.arcsin(min(chord, 1.0))
-        return position, orientation
+                error[:3] = target[:3, 3] - T[:3, 3]
+                mujoco.mju_mat2Quat(quat_wxyz, (target[:3, :3] @ T[:3, :3].T).reshape(9))
+                mujoco.mju_quat2Vel(error[3:], quat_wxyz, 1.0)
+        return errors
+
+    def _step(
+        self, q: np.ndarray, lower: np.ndarray, upper: np.ndarray, targets: list[np.ndarray | None]
+    ) -> np.ndarray:
+        """Solve one linearised problem for the change of the joints."""
+        errors = self.errors(targets) * self.hand_scale
+        # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
+        damping = self.settings.regularization + self.settings.error_damping * (errors**2).sum()
+        rows = [np.diag(np.sqrt(self.posture_weight)), np.sqrt(damping) * np.eye(len(q))]
+        values = [np.sqrt(self.posture_weight) * (self.posture - q), np.zeros(len(q))]
+        for error, palm, target in zip(errors, _PALMS, targets, strict=True):
+            if target is not None:
+                jacobian = self.robot.frame_jacobian(palm, "local_world_aligned")[:, self.v_columns]
+                rows.append(self.hand_scale[:, None] * jacobian)
+                values.append(error)
+        problem, residual = placo.Problem(), placo.Expression()
+        change = problem.add_variable(len(q))
+        residual.A, residual.b = np.concatenate(rows), -np.concatenate(values)
+        # placo's comparisons make constraints, which its type stubs do not say.
+        problem.add_constraint(residual == 0.0).configure("soft", 1.0)  # pyright: ignore[reportArgumentType]
+        problem.add_constraint(change.expr() <= upper - q)  # pyright: ignore[reportArgumentType]
+        problem.add_constraint(change.expr() >= lower - q)  # pyright: ignore[reportArgumentType]
+        problem.solve()
+        return np.array(change.value).reshape(-1)
 
 
 class WholeBodyIK:
@@ -187,26 +194,19 @@ class WholeBodyIK:
         others = {model.joint(index).name for index in range(model.njnt)} - arms
         upper_body = urdf(model, _TORSO, locked=others)
         T_pelvis_torso = self._pelvis_to_torso(np.zeros(len(g1.BODY_JOINTS)))
-        self._arm_pass = _Pass(
-            upper_body,
-            g1.ARM_JOINTS,
-            self.settings.arm_orientation_weight,
-            self.settings.arm_posture_weight,
-            self.settings,
-        )
-        torso_names = tuple(name for name, _ in _TORSO_AXES)
+        home = dict(zip(g1.ARM_JOINTS, g1.HOME[-len(g1.ARM_JOINTS) :], strict=True))
+        weights = self.settings
+        arm_pulls = {name: (angle, weights.arm_posture_weight) for name, angle in home.items()}
+        self._arm_pass = _Pass(upper_body, arm_pulls, weights.arm_orientation_weight, weights)
+        torso_pulls = {
+            "torso_height": (g1.PELVIS_HEIGHT, weights.height_weight),
+            "torso_yaw": (0.0, weights.yaw_weight),
+            "torso_pitch": (0.0, weights.pitch_weight),
+            "torso_roll": (0.0, weights.roll_weight),
+        } | {name: (angle, weights.torso_posture_weight) for name, angle in home.items()}
         self._torso_pass = _Pass(
-            _on_torso_joints(upper_body, T_pelvis_torso[:3, 3]),
-            torso_names + g1.ARM_JOINTS,
-            self.settings.torso_orientation_weight,
-            self.settings.torso_posture_weight,
-            self.settings,
+            _on_torso_joints(upper_body, T_pelvis_torso[:3, 3]), torso_pulls, weights.torso_orientation_weight, weights
         )
-        pull = self._torso_pass.pull
-        pull({"torso_height": g1.PELVIS_HEIGHT}, "height", self.settings.height_weight)
-        pull({"torso_pitch": 0.0}, "pitch", self.settings.pitch_weight)
-        pull({"torso_yaw": 0.0}, "yaw", self.settings.yaw_weight)
-        pull({"torso_roll": 0.0}, "roll", self.settings.roll_weight)
 
     def solve(
         self,
@@ -248,7 +248,7 @@ class WholeBodyIK:
         )
         if any(target is not None for target in targets):
             solution[_TORSO_COLUMNS] = planned[: len(_TORSO_COLUMNS)]
-        planned_error, _ = self._torso_pass.errors(targets)
+        planned_errors = self._torso_pass.errors(targets)
 
         T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions)
         arms = self._arm_pass.solve(
@@ -258,12 +258,12 @@ class WholeBodyIK:
         for arm, target in zip(_ARMS, targets, strict=True):
             if target is None:
                 solution[arm] = previous[arm]
-        position_error, orientation_error = self._arm_pass.errors(targets)
+        errors = self._arm_pass.errors(targets)
         return IKSolution(
             command=solution,
-            position_error=position_error,
-            orientation_error=orientation_error,
-            planned_position_error=planned_error,
+            position_error=np.linalg.norm(errors[:, :3], axis=1),
+            orientation_error=np.linalg.norm(errors[:, 3:], axis=1),
+            planned_position_error=np.linalg.norm(planned_errors[:, :3], axis=1),
         )
 
     def _window(self, previous: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:

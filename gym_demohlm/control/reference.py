@@ -21,7 +21,7 @@ class Gait:
 
     Attributes:
         period_s: Time of two steps [s].
-        swing: Part of the period in which a foot is in the air; the left foot swings first, the right half a period later.
+        swing: Part of the period in which a foot is in the air; the right foot swings half a period after the left.
         lift: Height of the sole at mid-swing [m].
         sway: Amplitude of the lateral sway of the pelvis [m].
     """
@@ -139,8 +139,12 @@ class Reference:
 
     def ankle_shift(self, height: np.ndarray, pitch: np.ndarray) -> np.ndarray:
         """Interpolate the quasi-static table, (N,), (N,) -> (N,) [m]."""
-        row = np.clip((height - TABLE_HEIGHTS[0]) / (TABLE_HEIGHTS[1] - TABLE_HEIGHTS[0]), 0, len(TABLE_HEIGHTS) - 1.001)
-        column = np.clip((pitch - TABLE_PITCHES[0]) / (TABLE_PITCHES[1] - TABLE_PITCHES[0]), 0, len(TABLE_PITCHES) - 1.001)
+        row = np.clip(
+            (height - TABLE_HEIGHTS[0]) / (TABLE_HEIGHTS[1] - TABLE_HEIGHTS[0]), 0, len(TABLE_HEIGHTS) - 1.001
+        )
+        column = np.clip(
+            (pitch - TABLE_PITCHES[0]) / (TABLE_PITCHES[1] - TABLE_PITCHES[0]), 0, len(TABLE_PITCHES) - 1.001
+        )
         i, j = row.astype(int), column.astype(int)
         u, v = row - i, column - j
         table = self.shift_table

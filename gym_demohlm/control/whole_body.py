@@ -1,4 +1,4 @@
-"""Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller at run time, batched, NumPy only.
+"""Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller, batched, NumPy only.
 
 A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
 differently with the number of rows, so rows are padded to blocks of 16 and every block goes through the same kernel.
@@ -86,9 +86,7 @@ class WholeBodyController:
         ranges = g1.joint_ranges(g1.read_mjcf())
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
 
-    def reset(
-        self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray
-    ) -> None:
+    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
         """Start the controllers of some worlds anew, standing at rest.
 
         Args:

@@ -26,20 +26,24 @@ class RubberPalm:
     """Contact model of a rubber hand: one box between the plane that thumb and finger tips touch and its back.
 
     The hand's mesh reaches 0.045 m from the wrist axis with its curled finger tips, 0.026 m with its thumb and 0.010 m
-    with its palm. Rubber yields, so a flat face near the finger tips stands for the hand pressed against an object. It
-    is toed in, as the curled hand is, and comes parallel as the wrist yields to the squeeze.
+    with its palm. Rubber yields, so a flat face at the finger tips stands for the hand pressed against an object. It is
+    toed in, as the curled hand is, and comes parallel as the wrist yields to the squeeze; and it is soft, giving way by
+    a few millimetres, so that all of it bears at once.
 
     Attributes:
         face_center: Centre of the left hand's face in the wrist-yaw frame [m]; the right hand's is mirrored.
         toe_in: Turn of the box about the hand's z axis, finger tips towards the object [rad].
         half_size: Of the box [m].
-        friction: Sliding, torsional [m] and rolling [m] friction.
+        friction: Sliding, torsional [m] and rolling [m] friction; torsional that of a bearing patch of 3 cm radius.
+        solref, solimp: MuJoCo's contact softness.
     """
 
-    face_center: tuple[float, float, float] = (0.107, -0.040, 0.0)
-    toe_in: float = 0.10
-    half_size: tuple[float, float, float] = (0.058, 0.025, 0.036)
-    friction: tuple[float, float, float] = (1.2, 0.01, 0.0005)
+    face_center: tuple[float, float, float] = (0.107, -0.045, 0.0)
+    toe_in: float = 0.06
+    half_size: tuple[float, float, float] = (0.058, 0.028, 0.036)
+    friction: tuple[float, float, float] = (1.2, 0.025, 0.0005)
+    solref: tuple[float, float] = (0.02, 1.0)
+    solimp: tuple[float, float, float] = (0.5, 0.9, 0.006)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +117,7 @@ def add_hands(spec: mujoco.MjSpec, kind: Hands) -> None:
         raise UnknownNameError("hands", str(kind), HANDS)
     for side in g1.SIDES:
         spec.delete(spec.geom(f"{side}_hand_collision"))
-        spec.geom(f"{side}_wrist_collision").size[0] = 0.030  # m: the mesh's radius, so that palms touch first
+        spec.geom(f"{side}_wrist_collision").size[0] = 0.030  # m, the mesh's, so that palms touch first
         if kind == "rubber":
             _add_rubber_palm(spec, side, RUBBER_PALM)
         else:
@@ -137,7 +141,7 @@ def _add_rubber_palm(spec: mujoco.MjSpec, side: str, palm: RubberPalm) -> None:
     pad = wrist.add_geom(name=f"{side}_palm_pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=palm.half_size)
     pad.pos = [x - sign * depth * math.sin(angle), sign * (y + depth * math.cos(angle)), z]
     pad.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-    pad.mass, pad.friction = 0.0, palm.friction
+    pad.mass, pad.friction, pad.solref, pad.solimp[:3] = 0.0, palm.friction, palm.solref, palm.solimp
     _make_grasping(pad)
     spec.site(f"{side}_palm").pos = [x, sign * y, z]
 
@@ -201,7 +205,7 @@ def add_gripper_actuators(spec: mujoco.MjSpec) -> None:
 
 
 def _make_grasping(geom: mujoco.MjsGeom) -> None:
-    """Let a geom of a hand touch the world, the other hand, and the robot's trunk and legs, without slipping in spin."""
+    """Let a geom of a hand touch the world, the other hand, trunk and legs, with friction against spinning."""
     geom.contype, geom.conaffinity = g1.ROBOT_BIT | HAND_BIT, g1.WORLD_BIT | HAND_BIT
     geom.condim, geom.priority, geom.group = 4, 1, 3
 

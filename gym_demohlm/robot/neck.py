@@ -4,8 +4,9 @@ Frames: the site ``head_camera`` sits at the camera's colour lens with x forward
 MuJoCo camera ``head`` is at the same point; MuJoCo cameras look along their own -z with y up. Positive pitch looks
 down, positive yaw looks left; at zero the camera looks along the torso's x axis.
 
-Colour lens: 69.4 x 42.5 degrees at 16:9 (Intel RealSense D400 series data sheet, 337029, "RGB camera"). At 640 x 480 the
-stream is a crop of the sensor's width, so its vertical field of view stays 42.5 degrees (54.8 horizontal).
+Colour lens: 69.4 x 42.5 degrees at 16:9 (Intel RealSense D400 series data sheet, 337029, "RGB camera"). At 640 x 480
+the stream is a crop of the sensor's width, so its vertical field of view stays 42.5 degrees (54.8 horizontal). The
+lens sits in the middle of the housing here, 32 mm from its true place, so that the robot stays mirror-symmetric.
 """
 
 import math
@@ -29,8 +30,9 @@ _PITCH_POS = (0.0, 0.0, 0.075)  # m, pitch axis in the yaw frame
 _CAMERA_SIZE = (0.025, 0.090, 0.025)  # m, D435 housing
 _CAMERA_MASS = 0.072  # kg
 _CAMERA_POS = (0.030, 0.0, 0.022)  # m, housing centre in the pitch frame
+_MOVING_COM = np.array([0.015, 0.0, 0.078])  # m, of both moving parts in the yaw frame, at zero angles
 _BRACKET_MASS = 0.030  # kg each, printed PLA, estimated
-_NATURAL_FREQUENCY = 60.0  # rad/s of the servo's position loop, critically damped: well above the 50 Hz gaze updates / 2 pi
+_NATURAL_FREQUENCY = 60.0  # rad/s of the servos' position loop: ten times the gaze controller's bandwidth
 
 
 def add_neck(spec: mujoco.MjSpec) -> None:
@@ -73,7 +75,7 @@ def add_neck(spec: mujoco.MjSpec) -> None:
     camera = pitch.add_camera(name="head", pos=origin, fovy=CAMERA_FOVY, resolution=[CAMERA_WIDTH, CAMERA_HEIGHT])
     camera.quat = [0.5, 0.5, -0.5, -0.5]  # camera x = -y, y = z, -z = x of the site
     moving_mass = 2 * _BRACKET_MASS + dynamixel.MASS + _CAMERA_MASS
-    _take_mass(torso, moving_mass, np.array(_YAW_POS) + [0.012, 0, 0.075])
+    _take_mass(torso, moving_mass, np.array(_YAW_POS) + _MOVING_COM)
 
 
 def add_neck_actuators(spec: mujoco.MjSpec) -> None:

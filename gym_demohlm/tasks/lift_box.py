@@ -1,8 +1,8 @@
 """LiftBox: walk to a box on a stand and lift it between the palms.
 
 Source: the paper's "Task Settings" and "Success Conditions". The box stands on a round stand 0.2 m high, so that its
-centre is at the paper's 0.29 m. Mended: the region's z offset moves the stand with the box (at -0.2 m the box stands on
-the floor), or it would start in the air.
+centre is at the paper's 0.29 m. Mended: the region's y and z offsets move the stand with the box (at -0.2 m the box
+stands on the floor), or it would start in the air, or tip over the stand's edge.
 """
 
 import math

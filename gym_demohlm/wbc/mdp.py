@@ -10,7 +10,6 @@ import numpy as np
 from mujoco import rollout
 
 from gym_demohlm.control import features, reference
-from gym_demohlm.robot import g1
 from gym_demohlm.wbc import rewards
 from gym_demohlm.wbc.commands import CommandSampler
 from gym_demohlm.wbc.model import SUBSTEPS, training_model
@@ -19,6 +18,7 @@ from gym_demohlm.wbc.quasi_static import ankle_shift_table
 _JOINTS = len(features.OBSERVED_JOINTS)
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _PRIVILEGED = 10  # base velocity 3, foot contact 2, foot height 2, base height 1, torso pitch and roll 2
+_AVERAGED_S = 0.6  # s: time constant of the averaged velocity error, about a gait period
 CRITIC_SIZE = features.OBSERVATION_SIZE + _PRIVILEGED
 _NOISE = np.concatenate([np.full(3, 0.05), np.full(3, 0.03), np.full(_JOINTS, 0.01), np.full(_JOINTS, 0.05)])
 
@@ -88,6 +88,7 @@ class WholeBodyMdp:
         self.action, self.previous_action = np.zeros((n, features.ACTION_SIZE)), np.zeros((n, features.ACTION_SIZE))
         self.history = np.zeros((n, features.HISTORY, features.FRAME_SIZE))
         self.privileged = np.zeros((n, _PRIVILEGED))
+        self._mean_error = np.zeros((n, 3))
         self.ticks = np.zeros(n, dtype=int)
         self.tracking: dict[str, float] = {}
         self.terms: dict[str, float] = {}
@@ -129,6 +130,7 @@ class WholeBodyMdp:
         qvel = self.qvel[worlds]
         self.history[worlds] = features.frame(qpos[:, 3:7], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])[:, None]
         self.privileged[worlds] = 0
+        self._mean_error[worlds] = 0
         self.privileged[worlds, 7] = qpos[:, 2]
 
     def observe(self) -> tuple[np.ndarray, np.ndarray]:
@@ -148,7 +150,6 @@ class WholeBodyMdp:
         Returns:
             Rewards (N,), fell (N,) bool, ended (N,) bool (fell or time is up). The caller resets ended worlds.
         """
-        n = self.config.num_worlds
         actions = np.clip(actions, -features.ACTION_LIMIT, features.ACTION_LIMIT)
         self.commands.advance(self.level, self.standing)
         self.phase, self.stopped, self.standing = reference.advance_clock(
@@ -165,6 +166,8 @@ class WholeBodyMdp:
         states, sensors = self._rollout.rollout(self._models, self._data, self._state, control)
         self._state = states[:, -1].copy()
         measured = rewards.measure(self.qpos, self.qvel, sensors[:, -1], self._address)
+        error = rewards.planar_error(measured, self.commands.current)
+        self._mean_error += (error - self._mean_error) * (reference.CONTROL_DT / _AVERAGED_S)
         reward, self.terms = rewards.total(
             measured,
             self.commands.current,
@@ -173,6 +176,7 @@ class WholeBodyMdp:
             actions,
             self.action,
             self.previous_action,
+            self._mean_error,
         )
         fell = self._fell(measured) | ~np.isfinite(reward)
         reward = np.where(fell, -1.0, np.nan_to_num(reward) * 0.2)

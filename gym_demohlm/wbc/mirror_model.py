@@ -19,7 +19,12 @@ class MirrorModel(MLPModel):
     """A symmetric actor (with a distribution) or critic (without)."""
 
     def __init__(
-        self, obs: TensorDict, obs_groups: dict[str, list[str]], obs_set: str, output_dim: int, **kwargs: Any  # noqa: ANN401
+        self,
+        obs: TensorDict,
+        obs_groups: dict[str, list[str]],
+        obs_set: str,
+        output_dim: int,
+        **kwargs: Any,  # noqa: ANN401
     ) -> None:
         super().__init__(obs, obs_groups, obs_set, output_dim, **kwargs)
         seen = features.OBSERVATION_MIRROR if obs_set == "actor" else CRITIC_MIRROR

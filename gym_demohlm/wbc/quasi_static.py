@@ -1,4 +1,4 @@
-"""The G1's kinematics -> the table of ankle shifts that keep its centre of mass over its feet (see ``reference.py``)."""
+"""The G1's kinematics -> the table of ankle shifts that keep its centre of mass over its feet."""
 
 import mujoco
 import numpy as np

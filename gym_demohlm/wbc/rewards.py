@@ -83,6 +83,11 @@ def measure(qpos: np.ndarray, qvel: np.ndarray, sensors: np.ndarray, address: di
     )
 
 
+def planar_error(m: Measured, command: np.ndarray) -> np.ndarray:
+    """Return the errors of forward and sideways velocity [m/s] and yaw rate [rad/s], (N, 3)."""
+    return np.column_stack([m.velocity, m.yaw_rate]) - command[:, :3]
+
+
 def total(
     m: Measured,
     command: np.ndarray,
@@ -91,6 +96,7 @@ def total(
     action: np.ndarray,
     last_action: np.ndarray,
     action_before: np.ndarray,
+    mean_error: np.ndarray,
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Return the reward of each world (N,) and the mean of each term.
 
@@ -99,7 +105,10 @@ def total(
         command: (N, 7), slewed.
         phase: (N,) gait clock.
         standing: (N,) bool.
-        action: (N, 15) of this tick; ``last_action`` and ``action_before`` of the two before.
+        action: (N, 15) of this tick.
+        last_action: (N, 15) of the tick before.
+        action_before: (N, 15) of the tick before that.
+        mean_error: (N, 3) error of velocity and yaw rate, averaged over about a gait period: what becomes drift.
     """
     stand = standing.astype(np.float64)
     swing, swing_height = reference.swing_state(phase, standing)
@@ -110,8 +119,10 @@ def total(
     tilt_error = (m.torso_pitch - command[:, 5]) ** 2 + (m.torso_roll - command[:, 4]) ** 2
     still = (m.velocity**2).sum(axis=1) + 0.1 * m.yaw_rate**2
     terms = {
-        "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 0.8 * np.exp(-velocity_error / 0.04),
-        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 0.7 * np.exp(-yaw_error / 0.08),
+        "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 1.2 * np.exp(-velocity_error / 0.03),
+        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.5 * np.exp(-yaw_error / 0.12),
+        "drift": 0.8 * np.exp(-(mean_error[:, :2] ** 2).sum(axis=1) / 0.004),
+        "turn_drift": 0.6 * np.exp(-(mean_error[:, 2] ** 2) / 0.02),
         "height": 0.5 * np.exp(-height_error / 0.004) + 0.4 * np.exp(-height_error / 0.0006),
         "tilt": 0.6 * np.exp(-tilt_error / 0.04) + 0.5 * np.exp(-tilt_error / 0.004),
         "waist_yaw": 0.3 * np.exp(-((m.waist_yaw - command[:, 6]) ** 2) / 0.02),

@@ -21,8 +21,8 @@ from gym_demohlm.wbc.export import export_weights
 from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 
 STEPS_PER_ITERATION = 24
-LEVEL_STEP, LEVEL_EVERY = 0.04, 20  # the curriculum rises by 0.04 every 20 iterations ...
-LEVEL_EPISODE_TICKS = 600  # ... while episodes last this long
+LEVEL_STEP, LEVEL_EVERY = 0.08, 20  # the curriculum rises by 0.08 every 20 iterations ...
+LEVEL_TICKS_BETWEEN_FALLS = 1800  # ... while a robot falls less often than this
 
 
 class MdpVecEnv(VecEnv):
@@ -36,7 +36,7 @@ class MdpVecEnv(VecEnv):
         self.episode_length_buf = torch.zeros(config.num_worlds, dtype=torch.long)
         self.device = "cpu"
         self.cfg = config
-        self.recent_lengths: list[int] = []
+        self.ticks, self.falls = 0, 0
 
     def get_observations(self) -> TensorDict:
         """Return the observation groups ``actor`` and ``critic``."""
@@ -48,7 +48,8 @@ class MdpVecEnv(VecEnv):
         """Advance all worlds by a control tick and restart those that ended."""
         reward, fell, ended = self.mdp.step(actions.numpy().astype(np.float64))
         worlds = np.nonzero(ended)[0]
-        self.recent_lengths = (self.recent_lengths + self.mdp.ticks[worlds].tolist())[-600:]
+        self.ticks += self.num_envs
+        self.falls += int(fell.sum())
         self.mdp.reset(worlds)
         extras = {"time_outs": torch.from_numpy((ended & ~fell).astype(np.float32))}
         return (
@@ -133,11 +134,12 @@ def train(output: Path, *, hours: float, seed: int = 1, resume: bool = False, nu
         progress["seconds"] = time.monotonic() - start
         _clamp_noise(runner)
         if progress["iteration"] % LEVEL_EVERY == 0:
-            length = float(np.mean(env.recent_lengths)) if env.recent_lengths else 0.0
-            if length > LEVEL_EPISODE_TICKS:
+            between_falls = env.ticks / max(env.falls, 1)
+            env.ticks = env.falls = 0
+            if between_falls > LEVEL_TICKS_BETWEEN_FALLS:
                 env.mdp.level = min(1.0, env.mdp.level + LEVEL_STEP)
             progress["level"] = env.mdp.level
-            _log(output, runner, {**progress, "episode_ticks": length, **statistics})
+            _log(output, runner, {**progress, "ticks_between_falls": between_falls, **statistics})
         if progress["iteration"] % 50 == 0:
             _save(runner, env, output, progress)
     _save(runner, env, output, progress)
@@ -184,7 +186,7 @@ def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None
     errors = " ".join(f"{name[6:]} {value:.3f}" for name, value in values.items() if name.startswith("error/"))
     print(
         f"{values['steps'] / 1e6:.2f} M steps, {values['seconds'] / 60:.1f} min, level {values['level']:.2f}, "
-        f"episode {values['episode_ticks']:.0f}, reward {values['reward']:.3f}, noise {values['noise']:.2f}, "
+        f"{values['ticks_between_falls']:.0f} ticks between falls, reward {values['reward']:.3f}, noise {values['noise']:.2f}, "
         f"rate {values['learning_rate']:.1e}, {values['collect_s']:.2f} + {values['learn_s']:.2f} s | {errors}",
         flush=True,
     )

@@ -1,4 +1,4 @@
-"""What LeRobot imports: a distribution whose name starts with ``lerobot_env_`` must bring a module of that very name."""
+"""What LeRobot imports: a distribution called ``lerobot_env_...`` must bring a module of that very name."""
 
 import lerobot_demohlm
 

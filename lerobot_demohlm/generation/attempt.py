@@ -16,7 +16,8 @@ from gym_demohlm.task import InitialState, Task
 from lerobot_demohlm.dataset import OUTCOMES, Episode
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation import stages
-from lerobot_demohlm.generation.stages import Playback, Settings, StageError
+from lerobot_demohlm.generation.playback import Playback
+from lerobot_demohlm.generation.stages import Settings, StageError
 from lerobot_demohlm.generation.world import World
 from lerobot_demohlm.segmentation import Segment, segment
 

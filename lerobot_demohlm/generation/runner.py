@@ -4,6 +4,8 @@ A block of consecutive attempts is made by one worker as worlds of one simulatio
 blocks on disk are the only memory of a run. So a run may be killed at any time, and the same call resumes it.
 """
 
+import argparse
+import json
 import multiprocessing
 import os
 import threading
@@ -254,3 +256,35 @@ def summary_json(summary: GenerationSummary) -> dict[str, Any]:
     """Return the summary as the JSON object that ``demohlm generate`` prints."""
     content = asdict(summary)
     return content | {"success_rate": round(summary.success_rate, 4)}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm generate``."""
+    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
+    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the initial states (default: %(default)s)")
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("--num-episodes", type=int, help="stop at this many successful episodes")
+    target.add_argument("--num-attempts", type=int, help="make this many attempts, successful or not")
+    parser.add_argument("--num-workers", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--root", type=Path, required=True, help="directory of the dataset; must not exist")
+    parser.add_argument("--repo-id", help="name on the hub, user/name (default: made from task and region)")
+    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
+    parser.add_argument("--keep-failures", action="store_true", help="write failed attempts to ROOT-failures")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Generate a dataset; the last line on stdout is the summary as JSON."""
+    request = GenerationRequest(
+        task=arguments.task,
+        region=arguments.region,
+        seed=arguments.seed,
+        root=arguments.root,
+        num_episodes=arguments.num_episodes,
+        num_attempts=arguments.num_attempts,
+        num_workers=arguments.num_workers,
+        demonstration=arguments.demonstration,
+        repo_id=arguments.repo_id,
+        keep_failures=arguments.keep_failures,
+    )
+    print(json.dumps(summary_json(generate(request))))

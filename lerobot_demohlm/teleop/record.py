@@ -1,8 +1,11 @@
 """An operator and a task -> a demonstration: poses at 10 Hz, inverse kinematics, commands, controller, physics."""
 
+import argparse
 import importlib
+import pkgutil
 import platform
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -12,10 +15,11 @@ from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import InitialState, Task
+from gym_demohlm.task import InitialState, Task, get_task
 from lerobot_demohlm import provenance
 from lerobot_demohlm.dataset import installed_versions
 from lerobot_demohlm.demonstration import (
+    ARRAYS,
     FORMAT_VERSION,
     Demonstration,
     measure,
@@ -41,8 +45,6 @@ def script_of(task: Task) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name != name:
             raise
-        import pkgutil
-
         available = [entry.name for entry in pkgutil.iter_modules(scripts.__path__)]
         raise UnknownNameError("scripted operator", provenance.file_name(task), available) from None
 
@@ -108,7 +110,7 @@ def record(
             "versions": installed_versions(),
             "processor": platform.machine(),
         },
-        **{name: np.stack([row[name] for row in rows]) for name in rows[0]},
+        **{name: np.stack([row[name] for row in rows]) for name in ARRAYS},  # pyright: ignore[reportArgumentType]
     )
     sim.close()
     require_contact(demonstration)
@@ -129,3 +131,20 @@ def _view(sim: Simulation, tick: int) -> SceneView:
         T_world_hands=np.stack([sim.pose(f"{side}_palm")[0] for side in g1.SIDES]),
         T_world_objects={entry.name: sim.pose(entry.name)[0] for entry in sim.task.objects},
     )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm record``."""
+    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
+    parser.add_argument("--root", type=Path, required=True, help="directory to write; must not exist")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Record a demonstration with the task's scripted operator."""
+    task = get_task(arguments.task)
+    if arguments.root.exists():
+        raise DemonstrationError(f"the root {arguments.root}, which exists", "a new path", "choose another --root")
+    script = script_of(task)
+    demonstration = record(task, script.make_operator(), script.START)
+    demonstration.save(arguments.root)
+    print(f"{arguments.root}: {len(demonstration)} ticks by {demonstration.metadata['operator']}")

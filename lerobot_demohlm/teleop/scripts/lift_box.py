@@ -14,15 +14,15 @@ from gym_demohlm.tasks.lift_box import BOX_SIZE
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.path import HandPath, Waypoint
 
-START: InitialState = {"robot": [-0.02, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
-"""Where the robot stands when the operator takes over: the box's centre 0.37 m ahead of the pelvis."""
+START: InitialState = {"robot": [-0.04, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
+"""Where the robot stands when the operator takes over: the box's centre 0.39 m ahead of the pelvis, clear of the knees."""
 
 SQUEEZE = 0.02  # m, how far inside the box's sides the palms are asked to be
-CLEARANCE = 0.08  # m, beside the box before the squeeze
-REACH_TILT, HOLD_TILT = 0.9, 0.35  # rad, fingers down
-LIFTED_HEIGHT = 0.86  # m, the box's centre: 0.57 m above its start, enough for the lowest start too
-LIFTED_DISTANCE = 0.30  # m, pelvis to the box's centre, ahead
-CREST = 0.12  # m, palms above the grip on the way down
+CLEARANCE = 0.07  # m, beside the box before the squeeze
+GRIP_HEIGHT = 0.04  # m above the box's centre: it hangs stably, and the robot need not bend so low
+REACH_TILT, HOLD_TILT = 0.75, 0.5  # rad, fingers down; the box tilts towards the robot by the difference
+LIFTED_HEIGHT = 0.82  # m, the box's centre: 0.53 m above its start, enough for lower starts too
+LIFTED_DISTANCE = 0.33  # m, pelvis (before the squat) to the box's centre, ahead
 
 
 class LiftBoxOperator:
@@ -61,16 +61,16 @@ def _plan(view: SceneView) -> HandPath:
         rotation = poses.rotation_from_rpy([0.0, tilt, 0.0])
         return T_world_base @ poses.from_rotation(rotation, [[x, half_gap, z], [x, -half_gap, z]])
 
-    x, _, z = box
+    x, z = float(box[0]), float(box[2]) + GRIP_HEIGHT
     beside, grip = half_width + CLEARANCE, half_width - SQUEEZE
-    lift = LIFTED_HEIGHT - z
+    lifted = hands(LIFTED_DISTANCE, grip, LIFTED_HEIGHT + GRIP_HEIGHT, HOLD_TILT)
     waypoints = [
-        Waypoint(T_world_hands=hands(x - 0.06, beside + 0.04, z + CREST + 0.12, 0.6 * REACH_TILT), duration_s=1.2),
-        Waypoint(T_world_hands=hands(x, beside, z, REACH_TILT), duration_s=1.2),
+        Waypoint(T_world_hands=hands(x - 0.06, beside + 0.04, z + 0.22, 0.6 * REACH_TILT), duration_s=1.2),
+        Waypoint(T_world_hands=hands(x, beside, z, REACH_TILT), duration_s=1.3),
         Waypoint(T_world_hands=hands(x, grip, z, REACH_TILT), duration_s=0.8),
-        Waypoint(T_world_hands=hands(x, grip, z, REACH_TILT), duration_s=0.4),
-        Waypoint(T_world_hands=hands(LIFTED_DISTANCE, grip, z + lift, HOLD_TILT), duration_s=2.6),
-        Waypoint(T_world_hands=hands(LIFTED_DISTANCE, grip, z + lift, HOLD_TILT), duration_s=1.6),
+        Waypoint(T_world_hands=hands(x, grip, z, REACH_TILT), duration_s=0.3),
+        Waypoint(T_world_hands=lifted, duration_s=2.8),
+        Waypoint(T_world_hands=lifted, duration_s=1.6),
     ]
     return HandPath(view.T_world_hands, waypoints)
 

@@ -1,0 +1,178 @@
+"""Measured results, one JSON line each in ``results/``, -> the tables of the README.
+
+A line says what was measured, by which command, at which commit. Tables are made from lines alone; nothing is typed in.
+"""
+
+import argparse
+import json
+import math
+import subprocess
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.errors import DatasetError
+
+BEGIN, END = "<!-- results -->", "<!-- /results -->"
+Line = dict[str, Any]
+
+
+def append(path: Path, command: str, values: Line) -> Line:
+    """Append one result with its command and the commit of the working tree (``+`` where files differ from it).
+
+    Args:
+        path: The ``.jsonl`` file.
+        command: What was run.
+        values: What it found.
+    """
+    line = {**values, "command": command, "commit": _commit()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    return line
+
+
+def _commit() -> str:
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], capture_output=True, text=True, check=False).stdout.strip()
+
+    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("+" if git("status", "--porcelain", "-uno") else "")
+
+
+def read(path: Path) -> list[Line]:
+    """Return the lines of a file, none where it does not exist.
+
+    Raises:
+        DatasetError: A line is not a JSON object.
+    """
+    if not path.exists():
+        return []
+    lines = []
+    for number, text in enumerate(path.read_text().splitlines(), start=1):
+        try:
+            line = json.loads(text)
+        except json.JSONDecodeError:
+            line = None
+        if not isinstance(line, dict):
+            raise DatasetError(f"{path.name}:{number} that is no JSON object", "one a line", "delete or mend the line")
+        lines.append(line)
+    return lines
+
+
+def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """Return the Wilson score interval of a success rate (95 % by default), (0, 1) without trials."""
+    if trials == 0:
+        return 0.0, 1.0
+    share = successes / trials
+    scale = 1 + z * z / trials
+    centre = (share + z * z / (2 * trials)) / scale
+    half = z * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials * trials)) / scale
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def _percent(successes: int, trials: int) -> str:
+    low, high = wilson(successes, trials)
+    return f"{100 * successes / trials:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _latest(lines: list[Line], *keys: str) -> list[Line]:
+    """Keep the last line of each combination of keys, in the order of the keys' values."""
+    kept = {tuple(str(line.get(key)) for key in keys): line for line in lines}
+    return [kept[key] for key in sorted(kept)]
+
+
+PAPER_GENERATION = {("LiftBox", "R3"): 91.2}  # %, the paper's appendix "Data Generation Success Rate"
+PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, its architectures table
+
+
+def _generation(lines: list[Line]) -> str:
+    rows = []
+    for line in _latest(lines, "task", "region"):
+        failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
+        paper = PAPER_GENERATION.get((line["task"], line["region"]))
+        rate = _percent(line["successes"], line["attempts"])
+        rows.append(
+            [line["task"], line["region"], str(line["attempts"]), rate, f"{paper}" if paper else "-", failed or "none"]
+        )
+    header = ["task", "region", "attempts", "success % (95 % interval)", "paper %", "failures"]
+    return "**Generation**, every attempt counted\n\n" + _table(header, rows)
+
+
+def _policies(lines: list[Line]) -> str:
+    rows = []
+    for line in _latest(lines, "task", "policy", "num_train_episodes", "region"):
+        paper = PAPER_POLICY.get((line["task"], line["policy"]), "-")
+        rate = _percent(line["successes"], line["episodes"])
+        size = str(line["num_train_episodes"])
+        rows.append([line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper])
+    header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %"]
+    return "**Policies**, last checkpoint, seeds never used in generation\n\n" + _table(header, rows)
+
+
+_CONTROLLER = (
+    ("linear_velocity_error", "linear velocity error, walking, instantaneous", "m/s", 0.142),
+    ("yaw_rate_error", "yaw rate error, walking, instantaneous", "rad/s", 0.154),
+    ("height_error", "height error, standing", "m", 0.028),
+    ("torso_pitch_error", "torso pitch error, standing", "rad", 0.049),
+    ("torso_roll_error", "torso roll error, standing", "rad", 0.016),
+    ("torso_yaw_error", "torso yaw error, standing", "rad", 0.013),
+)
+
+
+def _controller(lines: list[Line]) -> str:
+    line = lines[-1]
+    rows = [[name, f"{line[key]:.3f} {unit}", f"{best} {unit}"] for key, name, unit, best in _CONTROLLER]
+    rows.append([f"{line['seconds']:.0f} s without a fall", f"{100 * line['survival']:.1f} %", "-"])
+    rows.append(["the same, pushed by 0.5 m/s every 3 s", f"{100 * line['survival_pushed']:.1f} %", "-"])
+    title = f"**Whole-body controller**, {line['num_worlds']} robots, random commands and arm motions"
+    note = "\n\nPublished errors are those of HTD and AMO in their own protocols."
+    return f"{title}\n\n" + _table(["", "ours", "best published"], rows) + note
+
+
+_SECTIONS = (("generation.jsonl", _generation), ("policies.jsonl", _policies), ("controller.jsonl", _controller))
+
+
+def tables(results: Path) -> str:
+    """Return the Markdown of all results, each with the commands that made it."""
+    parts = []
+    for name, render in _SECTIONS:
+        lines = read(results / name)
+        if lines:
+            commands = "\n".join(dict.fromkeys(f"{line['command']}" for line in lines))
+            parts.append(f"{render(lines)}\n\n```\n{commands}\n```")
+    return "\n\n".join(parts) or "No results yet."
+
+
+def update_readme(readme: Path, results: Path) -> bool:
+    """Put the tables between the README's markers; returns whether it changed.
+
+    Raises:
+        DatasetError: The markers are missing.
+    """
+    text = readme.read_text()
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise DatasetError(f"{readme.name} without {BEGIN} and {END}", "both markers", "put them where tables belong")
+    changed = f"{before}{BEGIN}\n{tables(results)}\n{END}{after}"
+    readme.write_text(changed)
+    return changed != text
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm report``."""
+    parser.add_argument("--results", type=Path, default=Path("results"), help="folder of JSON lines")
+    parser.add_argument("--readme", type=Path, help="put the tables into this file instead of printing them")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Run ``demohlm report``."""
+    if arguments.readme is None:
+        print(tables(arguments.results))
+    elif update_readme(arguments.readme, arguments.results):
+        print(f"updated {arguments.readme}")

@@ -1,0 +1,43 @@
+"""Result lines -> README tables."""
+
+from pathlib import Path
+
+import pytest
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm import results
+
+REPOSITORY = Path(__file__).parent.parent
+
+
+def test_wilson_matches_published_values() -> None:
+    low, high = results.wilson(8, 10)  # Brown, Cai, DasGupta 2001: 0.49 to 0.94
+    assert (round(low, 2), round(high, 2)) == (0.49, 0.94)
+    assert results.wilson(0, 0) == (0.0, 1.0)
+    assert results.wilson(10, 10)[1] == pytest.approx(1.0)
+
+
+def test_lines_become_a_table(tmp_path: Path) -> None:
+    facts = {"task": "LiftBox", "region": "R3", "attempts": 100, "successes": 93, "outcomes": {"success": 93, "fell": 7}}
+    results.append(tmp_path / "generation.jsonl", "demohlm generate ...", {**facts, "successes": 1})
+    results.append(tmp_path / "generation.jsonl", "demohlm generate ...", facts)
+    readme = tmp_path / "README.md"
+    readme.write_text(f"top\n{results.BEGIN}\nold\n{results.END}\nbottom\n")
+    assert results.update_readme(readme, tmp_path)
+    text = readme.read_text()
+    assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6) | 91.2 | fell 7 |" in text
+    assert text.count("| LiftBox |") == 1  # the last line of a task and region counts
+    assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
+    assert not results.update_readme(readme, tmp_path)
+
+
+def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
+    with pytest.raises(DatasetError, match="generation.jsonl:2"):
+        results.read(tmp_path / "generation.jsonl")
+
+
+def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
+    copy = tmp_path / "README.md"
+    copy.write_text((REPOSITORY / "README.md").read_text())
+    assert not results.update_readme(copy, REPOSITORY / "results"), "run: demohlm report --readme README.md"
