@@ -36,14 +36,27 @@ class Renderer:
         Args:
             data: Of this model, with its kinematics done.
             camera: "overview", or "head" for what the robot sees.
+
+        Raises:
+            SceneError: This machine has nothing to draw with.
         """
         if self._renderer is None:
-            self._renderer = mujoco.Renderer(self._model, *self._size)
-            flags = self._renderer.scene.flags
-            flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
-            flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+            self._renderer = self._open()
         self._renderer.update_scene(data, camera=camera)
         return self._renderer.render().copy()
+
+    def _open(self) -> mujoco.Renderer:
+        try:
+            renderer = mujoco.Renderer(self._model, *self._size)
+        except Exception as error:  # each backend fails in its own way
+            raise SceneError(
+                f"no graphics to draw with ({error})",
+                "EGL or OSMesa",
+                "install them (Debian: libegl1 libgl1-mesa-dri) and set MUJOCO_GL=egl",
+            ) from error
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        return renderer
 
     def close(self) -> None:
         """Give the graphics context back."""

@@ -78,6 +78,18 @@ VERBS = (
         example="demohlm evaluate --policy outputs/lift_box/pretrained_model --task LiftBox --region R2",
     ),
     Verb(
+        name="report",
+        module="lerobot_demohlm.report",
+        help="write one HTML page about a dataset and the rollouts of a policy",
+        example="demohlm report --root data/lift_box --evaluation results.jsonl --output report.html",
+    ),
+    Verb(
+        name="results",
+        module="lerobot_demohlm.results",
+        help="turn the measured results of this repository into the tables of its README",
+        example="demohlm results --readme README.md",
+    ),
+    Verb(
         name="benchmark controller",
         module="gym_demohlm.wbc.benchmark",
         help="measure how well the whole-body controller follows its commands",

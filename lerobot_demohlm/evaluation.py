@@ -161,6 +161,29 @@ def rollouts(
         env.close()
 
 
+def rollouts_with_bar(
+    loaded: LoadedPolicy, task: str, region: str, seeds: Sequence[int], *, on_step: OnStep | None = None, **kwargs: int
+) -> Iterator[dict[str, Any]]:
+    """Yield what ``rollouts`` yields, and show on stderr how far the batch at work has come."""
+    from tqdm import tqdm
+
+    with tqdm(total=len(seeds), desc="rollouts", unit="episode") as bar:
+        yielded, steps = 0, 0
+
+        def shown(env: DemoHLMVectorEnv, going: np.ndarray) -> None:
+            nonlocal steps
+            batch = min(env.num_envs, len(seeds) - yielded)
+            bar.n = yielded + batch - int(going.sum())
+            bar.set_postfix_str(f"{steps / env.metadata['render_fps']:.1f} s simulated")
+            steps = steps + 1 if going.any() else 0
+            if on_step is not None:
+                on_step(env, going)
+
+        for record in rollouts(loaded, task, region, seeds, on_step=shown, **kwargs):
+            yielded += 1
+            yield record
+
+
 def _batch(
     loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: list[int], on_step: OnStep | None
 ) -> Iterator[dict[str, Any]]:
@@ -306,8 +329,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Roll a policy out; the last line on stdout is a summary as JSON."""
-    from tqdm import tqdm
-
     if min(arguments.num_episodes, arguments.num_worlds, arguments.num_threads) < 1 or arguments.seed < 0:
         raise PolicyError(
             f"--num-episodes {arguments.num_episodes} --num-worlds {arguments.num_worlds} --seed {arguments.seed}",
@@ -318,7 +339,7 @@ def main(arguments: argparse.Namespace) -> None:
         raise DatasetError(f"the file {arguments.output}, which exists", "a new file", "choose another --output")
     get_task(arguments.task).region(arguments.region)
     loaded = load_policy(arguments.policy, arguments.task, arguments.device)
-    found = rollouts(
+    found = rollouts_with_bar(
         loaded,
         arguments.task,
         arguments.region,
@@ -326,6 +347,5 @@ def main(arguments: argparse.Namespace) -> None:
         num_worlds=arguments.num_worlds,
         num_threads=arguments.num_threads,
     )
-    shown = tqdm(found, total=arguments.num_episodes, desc="rollouts", unit="episode")
-    records = list(shown) if arguments.output is None else write_records(arguments.output, shown)
+    records = list(found) if arguments.output is None else write_records(arguments.output, found)
     print(json.dumps({"task": get_task(arguments.task).name, "region": arguments.region, **summarize(records)}))

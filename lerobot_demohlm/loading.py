@@ -35,7 +35,7 @@ class InMemoryDataset(LeRobotDataset):
         held.__dict__.update(dataset.__dict__)
         table = dataset.hf_dataset.with_format("arrow")[:]
         held._columns = {name: torch.from_numpy(to_numpy(table.column(name)).copy()) for name in table.column_names}
-        held._tasks = list(dataset.meta.tasks.index)
+        held._tasks = list(dataset.meta.tasks.index)  # pyright: ignore[reportOptionalMemberAccess]
         deltas = dataset.reader.delta_indices or {}
         held._deltas = {key: torch.as_tensor(steps) for key, steps in deltas.items()}
         _, episode, lengths = torch.unique_consecutive(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gym_demohlm.errors import PolicyError
+from gym_demohlm.errors import PolicyError, SceneError
 from gym_demohlm.rendering import Renderer
 from gym_demohlm.task import get_task
 from gym_demohlm.vector_env import DemoHLMVectorEnv
@@ -55,7 +55,11 @@ class Quickstart:
 
 
 class Recorder:
-    """Keeps pictures of the first episode of the first batch; give it to ``rollouts`` as ``on_step``."""
+    """Keeps pictures of the first episode of the first batch; give it to ``rollouts`` as ``on_step``.
+
+    Attributes:
+        frames: (height, width, 3) uint8 each; none on a machine that has nothing to draw with.
+    """
 
     def __init__(self) -> None:
         self.frames: list[np.ndarray] = []
@@ -68,7 +72,12 @@ class Recorder:
             return
         if self._renderer is None:
             self._renderer = Renderer(env.sim.model)
-        self.frames.append(self._renderer.render(env.sim.mj_data(0)))
+        try:
+            self.frames.append(self._renderer.render(env.sim.mj_data(0)))
+        except SceneError as error:
+            _say(f"No pictures: {error}")
+            self._done = True
+            return
         if not going[0]:
             self._done = True
             self._renderer.close()
@@ -83,6 +92,7 @@ def train(root: Path, dataset_root: Path, *, steps: int, seed: int) -> Path:
         steps: Steps of ``BATCH_SIZE`` samples.
         seed: Of the weights and of the order of the samples.
     """
+    import torch
     from lerobot.configs.default import DatasetConfig
     from lerobot.configs.train import TrainPipelineConfig
     from lerobot.scripts.lerobot_train import train as lerobot_train
@@ -104,6 +114,7 @@ def train(root: Path, dataset_root: Path, *, steps: int, seed: int) -> Path:
         log_freq=0,
         seed=seed,
     )
+    torch.set_num_threads(1)  # two would gain a third; where another process is busy, they are ten times slower
     with in_memory_batches():
         lerobot_train(config)  # type: ignore[call-arg]  # its decorator hides that a configuration may be given
     return root / "checkpoints" / "last" / "pretrained_model"
@@ -143,14 +154,12 @@ def run(quickstart: Quickstart) -> Path:
         checkpoint = train(quickstart.root / "train", dataset_root, steps=quickstart.steps, seed=quickstart.seed)
 
     with _step(durations, 3, f"Scoring {quickstart.num_rollouts} rollouts from starts it has not seen"):
-        from tqdm import tqdm
-
-        from lerobot_demohlm.evaluation import FIRST_SEED, load_policy, rollouts, summarize, write_records
+        from lerobot_demohlm.evaluation import FIRST_SEED, load_policy, rollouts_with_bar, summarize, write_records
 
         recorder = Recorder()
         with _quiet():
             loaded = load_policy(checkpoint, quickstart.task)
-        found = rollouts(
+        found = rollouts_with_bar(
             loaded,
             quickstart.task,
             quickstart.region,
@@ -159,8 +168,7 @@ def run(quickstart: Quickstart) -> Path:
             num_threads=quickstart.num_workers,
             on_step=recorder,
         )
-        shown = tqdm(found, total=quickstart.num_rollouts, desc="rollouts", unit="episode")
-        records = write_records(quickstart.root / "rollouts.jsonl", shown)
+        records = write_records(quickstart.root / "rollouts.jsonl", found)
         success = summarize(records)["success_held"]
         low, high = success["interval"]
         _say(f"Success {100 * success['rate']:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f} %)")
@@ -173,13 +181,14 @@ def run(quickstart: Quickstart) -> Path:
             f"Rollout from seed {first['seed']}: {first['outcome'].replace('_', ' ')} after {first['length_s']:.1f} s"
         )
         film = Film(frames=recorder.frames, caption=caption)
-        video = quickstart.root / "rollout.mp4"
-        write_video(video, film)
+        video = quickstart.root / "rollout.mp4" if film.frames else None
+        if video is not None:
+            write_video(video, film)
         page = render_report(
             title=f"{quickstart.task}: from one demonstration to a policy",
             facts=read_facts(dataset_root),
             records=records,
-            films=[film],
+            films=[film] if film.frames else [],
             video=video,
             video_caption=caption,
             durations=durations,

@@ -5,13 +5,13 @@ A line says what was measured, by which command, at which commit. Tables are mad
 
 import argparse
 import json
-import math
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.evaluation import wilson
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 Line = dict[str, Any]
@@ -57,17 +57,6 @@ def read(path: Path) -> list[Line]:
             raise DatasetError(f"{path.name}:{number} that is no JSON object", "one a line", "delete or mend the line")
         lines.append(line)
     return lines
-
-
-def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Return the Wilson score interval of a success rate (95 % by default), (0, 1) without trials."""
-    if trials == 0:
-        return 0.0, 1.0
-    share = successes / trials
-    scale = 1 + z * z / trials
-    centre = (share + z * z / (2 * trials)) / scale
-    half = z * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials * trials)) / scale
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def _percent(successes: int, trials: int) -> str:
@@ -165,13 +154,13 @@ def update_readme(readme: Path, results: Path) -> bool:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm report``."""
+    """Declare the options of ``demohlm results``."""
     parser.add_argument("--results", type=Path, default=Path("results"), help="folder of JSON lines")
     parser.add_argument("--readme", type=Path, help="put the tables into this file instead of printing them")
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm report``."""
+    """Run ``demohlm results``."""
     if arguments.readme is None:
         print(tables(arguments.results))
     elif update_readme(arguments.readme, arguments.results):

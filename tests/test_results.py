@@ -10,15 +10,14 @@ from lerobot_demohlm import results
 REPOSITORY = Path(__file__).parent.parent
 
 
-def test_wilson_matches_published_values() -> None:
-    low, high = results.wilson(8, 10)  # Brown, Cai, DasGupta 2001: 0.49 to 0.94
-    assert (round(low, 2), round(high, 2)) == (0.49, 0.94)
-    assert results.wilson(0, 0) == (0.0, 1.0)
-    assert results.wilson(10, 10)[1] == pytest.approx(1.0)
-
-
 def test_lines_become_a_table(tmp_path: Path) -> None:
-    facts = {"task": "LiftBox", "region": "R3", "attempts": 100, "successes": 93, "outcomes": {"success": 93, "fell": 7}}
+    facts = {
+        "task": "LiftBox",
+        "region": "R3",
+        "attempts": 100,
+        "successes": 93,
+        "outcomes": {"success": 93, "fell": 7},
+    }
     results.append(tmp_path / "generation.jsonl", "demohlm generate ...", {**facts, "successes": 1})
     results.append(tmp_path / "generation.jsonl", "demohlm generate ...", facts)
     readme = tmp_path / "README.md"
@@ -33,11 +32,11 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
 
 def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
-    with pytest.raises(DatasetError, match="generation.jsonl:2"):
+    with pytest.raises(DatasetError, match=r"generation\.jsonl:2"):
         results.read(tmp_path / "generation.jsonl")
 
 
 def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
     copy = tmp_path / "README.md"
     copy.write_text((REPOSITORY / "README.md").read_text())
-    assert not results.update_readme(copy, REPOSITORY / "results"), "run: demohlm report --readme README.md"
+    assert not results.update_readme(copy, REPOSITORY / "results"), "run: demohlm results --readme README.md"

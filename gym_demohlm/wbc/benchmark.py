@@ -85,7 +85,7 @@ class _Driver:
         rng, ranges, n = self.rng, self.ranges, len(self.commands)
         self.walks = ~self.walks
         walks = self.walks.astype(float)
-        draw = {name: rng.uniform(*bounds, n) for name, bounds in vars(ranges).items()}
+        draw = {name: rng.uniform(low, high, n) for name, (low, high) in vars(ranges).items()}
         velocity = np.stack([draw["forward"], draw["sideways"], draw["yaw_rate"]], axis=1)
         self.commands[:, command.VELOCITY] = velocity * walks[:, None]
         self.commands[:, command.HEIGHT] = np.where(self.walks, draw["walking_height"], draw["height"])

@@ -63,10 +63,13 @@ class CommandSampler:
         stand |= (np.abs(velocity) < reference.WALK_THRESHOLD * 1.2).all(axis=1)
         command[stand, :3] = 0
         low = rng.random(count) < 0.7
-        squat = np.where(low, rng.uniform(0.74 - 0.31 * level, 0.765, count), 0.74)
+        squat = np.where(low, rng.uniform(0.74 - 0.33 * level, 0.765, count), 0.74)
         command[:, 3] = np.where(stand, squat, rng.uniform(0.74 - 0.08 * level, 0.76, count))
-        bend = rng.uniform(-0.15, 0.15 + 0.80 * level, count)
+        bend = rng.uniform(-0.15, 0.15 + 0.95 * level, count)
         command[:, 5] = np.where(stand, bend, rng.uniform(-0.05, 0.1 + 0.3 * level, count))
+        reach = stand & (rng.random(count) < 0.3)  # down to the floor: low and bent
+        command[reach, 3] = rng.uniform(0.74 - 0.33 * level, 0.74 - 0.15 * level, reach.sum())
+        command[reach, 5] = rng.uniform(0.45, 1.12, reach.sum()) * level
         upright = rng.random(count) < 0.15
         command[upright, 5] = 0
         command[:, 4] = np.where(stand, rng.uniform(-0.22, 0.22, count) * level, 0)

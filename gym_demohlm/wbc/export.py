@@ -2,11 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 
 from gym_demohlm.control import features, reference
 from gym_demohlm.robot import g1
@@ -24,7 +25,7 @@ def export_weights(actor: MLPModel, shift_table: np.ndarray, path: Path, facts: 
         facts: How it was trained, kept in the metadata.
     """
     arrays: dict[str, np.ndarray] = {"shift_table": np.asarray(shift_table)}
-    normaliser = actor.obs_normalizer
+    normaliser = cast(EmpiricalNormalization, actor.obs_normalizer)
     arrays["mean"] = normaliser.mean.detach().numpy().astype(np.float32)
     arrays["scale"] = (1.0 / (normaliser.std + normaliser.eps)).detach().numpy().astype(np.float32)
     linear = [layer for layer in actor.mlp if isinstance(layer, torch.nn.Linear)]

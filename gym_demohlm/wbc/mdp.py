@@ -4,6 +4,7 @@ Joint targets = reference(command, clock) + scale * action. Actions are 15 numbe
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -163,7 +164,8 @@ class WholeBodyMdp:
             axis=1,
         )
         control = np.repeat(np.clip(targets, self._lower, self._upper)[:, None], SUBSTEPS, axis=1)
-        states, sensors = self._rollout.rollout(self._models, self._data, self._state, control)
+        outcome = self._rollout.rollout(self._models, self._data, self._state, control)
+        states, sensors = cast(tuple[np.ndarray, np.ndarray], outcome)
         self._state = states[:, -1].copy()
         measured = rewards.measure(self.qpos, self.qvel, sensors[:, -1], self._address)
         error = rewards.planar_error(measured, self.commands.current)

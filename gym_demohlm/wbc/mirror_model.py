@@ -4,11 +4,12 @@ output(x) = (net(x) + mirror(net(mirror(x)))) / 2, with a normaliser that sees b
 mirrored samples, the KL estimate, and with it the adaptive learning rate, stays right.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 
 from gym_demohlm.control import features
@@ -17,6 +18,11 @@ from gym_demohlm.wbc.mdp import CRITIC_MIRROR
 
 class MirrorModel(MLPModel):
     """A symmetric actor (with a distribution) or critic (without)."""
+
+    _seen_source: torch.Tensor
+    _seen_sign: torch.Tensor
+    _out_source: torch.Tensor
+    _out_sign: torch.Tensor
 
     def __init__(
         self,
@@ -35,8 +41,9 @@ class MirrorModel(MLPModel):
         self.register_buffer("_out_sign", torch.as_tensor(out[1], dtype=torch.float32))
         if obs_set == "actor":
             with torch.no_grad():
-                self.mlp[-1].weight *= 0.05  # start at the reference
-                self.mlp[-1].bias.zero_()
+                last = cast(torch.nn.Linear, self.mlp[-1])
+                last.weight.mul_(0.05)  # start at the reference
+                last.bias.zero_()
 
     def _mirrored(self, values: torch.Tensor) -> torch.Tensor:
         return values[..., self._seen_source] * self._seen_sign
@@ -67,11 +74,26 @@ class MirrorModel(MLPModel):
         """Feed the normaliser a part of the samples, and their mirror images."""
         if self.obs_normalization:
             seen = self._observed(obs)[::4]
-            self.obs_normalizer.update(torch.cat([seen, self._mirrored(seen)]))
+            cast(EmpiricalNormalization, self.obs_normalizer).update(torch.cat([seen, self._mirrored(seen)]))
 
 
 class BoundedPPO(PPO):
-    """rsl_rl's PPO whose adaptive learning rate stays within [2e-4, 1e-3]: below, training on two cores stalls."""
+    """rsl_rl's PPO with bounds on its adaptive learning rate: far below 1e-4 training on two cores stalls.
+
+    Args:
+        lowest_learning_rate: Lower bound.
+        highest_learning_rate: Upper bound.
+    """
+
+    def __init__(
+        self,
+        *args: Any,  # noqa: ANN401
+        lowest_learning_rate: float = 2e-4,
+        highest_learning_rate: float = 1e-3,
+        **kwargs: Any,  # noqa: ANN401
+    ) -> None:
+        self._bounds = lowest_learning_rate, highest_learning_rate
+        super().__init__(*args, **kwargs)
 
     @property
     def learning_rate(self) -> float:
@@ -80,4 +102,5 @@ class BoundedPPO(PPO):
 
     @learning_rate.setter
     def learning_rate(self, value: float) -> None:
-        self._learning_rate = min(max(value, 2e-4), 1e-3)
+        low, high = self._bounds
+        self._learning_rate = min(max(value, low), high)

@@ -24,7 +24,8 @@ def ankle_shift_table() -> np.ndarray:
     for i, height in enumerate(reference.TABLE_HEIGHTS):
         for j, pitch in enumerate(reference.TABLE_PITCHES):
             tilt = float(reference.pelvis_pitch(np.array(pitch)))
-            hip, knee, ankle = reference.leg_ik(shifts, np.full(len(shifts), height - g1.HIP_DROP - g1.SOLE_DROP), tilt)
+            down = height - g1.HIP_DROP - g1.SOLE_DROP
+            hip, knee, ankle = reference.leg_ik(shifts, np.full(len(shifts), down), np.full(len(shifts), tilt))
             costs = []
             for index, shift in enumerate(shifts):
                 leg = np.array([hip[index], 0, 0, knee[index], ankle[index], 0])

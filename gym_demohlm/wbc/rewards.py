@@ -111,6 +111,7 @@ def total(
         mean_error: (N, 3) error of velocity and yaw rate, averaged over about a gait period: what becomes drift.
     """
     stand = standing.astype(np.float64)
+    stop = (np.abs(command[:, :3]) < reference.WALK_THRESHOLD).all(axis=1).astype(np.float64)
     swing, swing_height = reference.swing_state(phase, standing)
     contact = m.touch > 5.0
     velocity_error = ((m.velocity - command[:, :2]) ** 2).sum(axis=1)
@@ -131,9 +132,10 @@ def total(
         "sole_tilt": -0.6 * np.minimum(m.sole_tilt, 1.0),
         "sole_yaw": -0.5 * (1 - stand) * np.minimum((m.sole_yaw**2).sum(axis=1), 0.5),
         "slip": -0.4 * np.minimum((m.sole_speed * contact).sum(axis=1), 2.0),
-        "stance": -8.0 * np.maximum(0.19 - m.stance_width, 0)
-        - 2.0 * np.maximum(m.stance_width - 0.36, 0)
-        - 1.0 * stand * np.minimum(np.abs(m.stance_length), 0.3),
+        "stance": -8.0 * np.maximum(0.20 - m.stance_width, 0)
+        - 6.0 * stop * np.maximum(0.23 - m.stance_width, 0)
+        - 3.0 * np.maximum(m.stance_width - 0.32, 0)
+        - 1.5 * stop * np.minimum(np.abs(m.stance_length), 0.3),
         "still": 0.4 * stand * np.exp(-still / 0.002),
         "action_rate": -0.03 * ((action - last_action) ** 2).sum(axis=1),
         "action_jerk": -0.01 * ((action - 2 * last_action + action_before) ** 2).sum(axis=1),

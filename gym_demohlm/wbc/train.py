@@ -7,7 +7,7 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 
 STEPS_PER_ITERATION = 24
 LEVEL_STEP, LEVEL_EVERY = 0.08, 20  # the curriculum rises by 0.08 every 20 iterations ...
-LEVEL_TICKS_BETWEEN_FALLS = 1800  # ... while a robot falls less often than this
+LEVEL_TICKS_BETWEEN_FALLS = 1200  # ... while a robot falls less often than this
 
 
 class MdpVecEnv(VecEnv):
@@ -60,8 +60,14 @@ class MdpVecEnv(VecEnv):
         )
 
 
-def ppo_config(seed: int) -> dict[str, Any]:
-    """Return the rsl_rl configuration of a run."""
+def ppo_config(seed: int, *, polish: bool = False) -> dict[str, Any]:
+    """Return the rsl_rl configuration of a run.
+
+    Args:
+        seed: Of exploration.
+        polish: Learn slowly and stop exploring, for the last minutes: the mean action, which is what runs on the
+            robot, gets steadier.
+    """
     network = {
         "class_name": "gym_demohlm.wbc.mirror_model:MirrorModel",
         "hidden_dims": [256, 128, 64],
@@ -86,9 +92,11 @@ def ppo_config(seed: int) -> dict[str, Any]:
             "clip_param": 0.2,
             "value_loss_coef": 0.5,
             "use_clipped_value_loss": False,
-            "entropy_coef": 0.003,
-            "learning_rate": 1e-3,
-            "desired_kl": 0.02,
+            "entropy_coef": -0.002 if polish else 0.003,
+            "learning_rate": 1e-4 if polish else 1e-3,
+            "lowest_learning_rate": 5e-5 if polish else 2e-4,
+            "highest_learning_rate": 2e-4 if polish else 1e-3,
+            "desired_kl": 0.01 if polish else 0.02,
             "schedule": "adaptive",
             "rnd_cfg": None,
             "symmetry_cfg": None,
@@ -96,7 +104,9 @@ def ppo_config(seed: int) -> dict[str, Any]:
     }
 
 
-def train(output: Path, *, hours: float, seed: int = 1, resume: bool = False, num_threads: int = 2) -> None:
+def train(
+    output: Path, *, hours: float, seed: int = 1, resume: bool = False, polish: bool = False, **size: int
+) -> None:
     """Train for a while, writing ``checkpoint.pt``, ``weights.npz`` and ``log.jsonl`` every 50 iterations.
 
     Args:
@@ -104,7 +114,8 @@ def train(output: Path, *, hours: float, seed: int = 1, resume: bool = False, nu
         hours: Wall-clock time.
         seed: Of commands, randomisation, exploration.
         resume: Go on from ``checkpoint.pt``.
-        num_threads: Threads of the physics.
+        polish: See ``ppo_config``.
+        size: ``num_worlds``, ``num_variants`` or ``num_threads`` other than those of ``MdpConfig``.
 
     Raises:
         SceneError: ``resume`` without a checkpoint, or a run that exists already without ``resume``.
@@ -117,8 +128,8 @@ def train(output: Path, *, hours: float, seed: int = 1, resume: bool = False, nu
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     torch.manual_seed(seed)
-    env = MdpVecEnv(MdpConfig(seed=seed, num_threads=num_threads))
-    runner = OnPolicyRunner(env, ppo_config(seed), log_dir=str(output / "tensorboard"), device="cpu")
+    env = MdpVecEnv(MdpConfig(seed=seed, **size))
+    runner = OnPolicyRunner(env, ppo_config(seed, polish=polish), log_dir=str(output / "tensorboard"), device="cpu")
     progress = {"steps": 0, "seconds": 0.0, "level": 0.0, "iteration": 0}
     if resume:
         progress = _load(runner, checkpoint)
@@ -165,16 +176,20 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv) -> dict[str, float]:
         "collect_s": collected - began,
         "learn_s": time.monotonic() - collected,
         "learning_rate": runner.alg.learning_rate,
-        "noise": float(runner.alg.actor.distribution.log_std_param.detach().exp().mean()),
+        "noise": float(_log_noise(runner).detach().exp().mean()),
         **{f"loss/{name}": float(value) for name, value in losses.items()},
         **tracking,
         **terms,
     }
 
 
+def _log_noise(runner: OnPolicyRunner) -> torch.Tensor:
+    return cast(Any, runner.alg.actor.distribution).log_std_param
+
+
 def _clamp_noise(runner: OnPolicyRunner) -> None:
     with torch.no_grad():
-        runner.alg.actor.distribution.log_std_param.clamp_(-2.5, 0.0)
+        _log_noise(runner).clamp_(-2.5, 0.0)
 
 
 def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None:
@@ -186,7 +201,8 @@ def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None
     errors = " ".join(f"{name[6:]} {value:.3f}" for name, value in values.items() if name.startswith("error/"))
     print(
         f"{values['steps'] / 1e6:.2f} M steps, {values['seconds'] / 60:.1f} min, level {values['level']:.2f}, "
-        f"{values['ticks_between_falls']:.0f} ticks between falls, reward {values['reward']:.3f}, noise {values['noise']:.2f}, "
+        f"{values['ticks_between_falls']:.0f} ticks between falls, reward {values['reward']:.3f}, "
+        f"noise {values['noise']:.2f}, "
         f"rate {values['learning_rate']:.1e}, {values['collect_s']:.2f} + {values['learn_s']:.2f} s | {errors}",
         flush=True,
     )
@@ -213,6 +229,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    parser.add_argument("--polish", action="store_true", help="learn slowly, without exploring: the last part of a run")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -222,6 +239,7 @@ def main(arguments: argparse.Namespace) -> None:
         hours=arguments.hours,
         seed=arguments.seed,
         resume=arguments.resume,
+        polish=arguments.polish,
         num_threads=arguments.num_threads,
     )
 

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
@@ -26,10 +27,13 @@ from lerobot_demohlm.demonstration import (
     pose_numbers,
     require_contact,
 )
+from lerobot_demohlm.locomotion import LocomotionSettings, walk
 from lerobot_demohlm.teleop import scripts
 from lerobot_demohlm.teleop.operator import Operator, SceneView
 
-SETTLE_TICKS = 15  # the robot stands still before the operator takes over
+APPROACH = 0.3  # m that the robot walks to where the operator takes over: so it stands as one that has walked
+EXACT = LocomotionSettings(accept_m=0.035, accept_rad=0.08, max_walks=20, max_ticks=600)
+SETTLE_TICKS = 10  # it stands still before
 MAX_TICKS = 600
 
 
@@ -60,15 +64,21 @@ def record(
     Args:
         task: The task.
         operator: Gives head and palm poses.
-        start: Where everything starts; the task's default state if not given.
+        start: Where robot and objects are when the operator takes over; the task's default state if not given.
         frame: Called with the simulation before every command, for pictures.
 
     Raises:
         DemonstrationError: The task did not succeed, or no hand touched anything.
+        OffCourseError: The robot did not get to the operator's place.
     """
     sim = Simulation(task)
-    sim.reset([start or task.default_state()])
+    start = start or task.default_state()
+    stance = np.array(start["robot"])
+    behind = poses.to_planar(poses.planar(*stance) @ poses.planar(-APPROACH, 0.0, 0.0))
+    sim.reset([start | {"robot": behind.tolist()}])
     ik = WholeBodyIK(sim.model)
+    for wanted in walk(lambda: sim.pose("pelvis")[0], stance, EXACT):
+        sim.step(wanted[None])
     for _ in range(SETTLE_TICKS):
         sim.step(command.rest()[None])
     snapshot = sim.snapshot()
@@ -104,7 +114,7 @@ def record(
             "format_version": FORMAT_VERSION,
             "task": task.name,
             "operator": operator.name,
-            "initial_state": start or task.default_state(),
+            "stance": start,
             "controller_hash": provenance.controller_hash(),
             "model_hash": provenance.model_hash(sim.model),
             "versions": installed_versions(),

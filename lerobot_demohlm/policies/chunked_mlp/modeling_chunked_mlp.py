@@ -18,8 +18,8 @@ class ChunkedMLPPolicy(PreTrainedPolicy):
     median of two ways on is one of them, their mean is neither. Steps past the end of an episode do not count.
     """
 
-    config_class = ChunkedMLPConfig
-    name = "chunked_mlp"
+    config_class = ChunkedMLPConfig  # pyright: ignore[reportAssignmentType]  (LeRobot declares None)
+    name = "chunked_mlp"  # pyright: ignore[reportAssignmentType]
 
     def __init__(self, config: ChunkedMLPConfig, **kwargs: Any) -> None:  # noqa: ANN401
         """Build the network; LeRobot passes further keywords (statistics, metadata) that it does not need."""

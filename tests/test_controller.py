@@ -1,0 +1,75 @@
+"""The shipped controller on the deployment model stands, walks where it is told, squats and bends; training runs."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.wbc import benchmark
+
+
+def _drive(change: dict[int, float], seconds: float) -> tuple[Simulation, np.ndarray]:
+    """Hold one command; returns the simulation and how far the pelvis moved (2,) [m]."""
+    simulation = Simulation(benchmark.BENCHMARK_TASK)
+    start = simulation.pose("pelvis")[0, :2, 3]
+    action = command.rest()
+    for index, value in change.items():
+        action[index] = value
+    for _ in range(round(10 * seconds)):
+        simulation.step(action[None])
+        assert not simulation.fallen()[0]
+    return simulation, simulation.pose("pelvis")[0, :2, 3] - start
+
+
+def test_it_stands_still() -> None:
+    simulation, moved = _drive({}, 4.0)
+    before = simulation.joint_positions.copy()
+    simulation.step(command.rest()[None])
+    assert np.abs(simulation.joint_positions - before).max() < 0.02  # rad in 0.1 s: no trembling
+    assert np.hypot(*moved) < 0.1
+
+
+@pytest.mark.parametrize(("axis", "speed"), [(0, 0.4), (0, -0.2), (1, 0.2), (1, -0.2)])
+def test_it_walks_where_it_is_told(axis: int, speed: float) -> None:
+    _, moved = _drive({axis: speed}, 5.0)
+    assert moved[axis] / 5.0 == pytest.approx(speed, abs=0.12)
+    assert abs(moved[1 - axis]) / 5.0 < 0.12
+
+
+@pytest.mark.parametrize(("height", "pitch"), [(0.60, 0.0), (0.55, 0.5), (0.5, 0.8)])
+def test_it_squats_and_bends(height: float, pitch: float) -> None:
+    simulation, _ = _drive({command.HEIGHT: height, command.PITCH: pitch}, 4.0)
+    up = simulation.pose("torso")[0, 2, :3]
+    assert simulation.pose("pelvis")[0, 2, 3] == pytest.approx(height, abs=0.03)
+    assert np.arctan2(-up[0], np.hypot(up[1], up[2])) == pytest.approx(pitch, abs=0.1)
+
+
+def test_benchmark_reports_every_number() -> None:
+    found = benchmark.benchmark(num_worlds=2, seconds=8.0, seed=1, num_threads=1)
+    text = json.loads(json.dumps(found))
+    for name in ("linear_velocity_error", "yaw_rate_error", "height_error", "torso_pitch_error", "survival"):
+        assert np.isfinite(text[name])
+    assert 0.0 <= text["survival"] <= 1.0
+
+
+def test_training_runs_and_resumes(tmp_path: Path) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.train")
+    small = {"num_worlds": 8, "num_variants": 1, "num_threads": 1}
+    train.train(tmp_path / "run", hours=3 / 3600, **small)
+    assert (tmp_path / "run" / "weights.npz").exists()
+    with pytest.raises(train.SceneError, match="exists already"):
+        train.train(tmp_path / "run", hours=1 / 3600, **small)
+    train.train(tmp_path / "run", hours=1 / 3600, resume=True, **small)
+
+
+@pytest.mark.slow
+def test_it_keeps_the_promised_errors() -> None:
+    found = benchmark.benchmark(num_worlds=64, seconds=20.0, seed=3)
+    assert found["linear_velocity_error"] < 0.2
+    assert found["yaw_rate_error"] < 0.4
+    assert found["height_error"] < 0.03
+    assert found["torso_pitch_error"] < 0.06
+    assert found["survival"] > 0.9
