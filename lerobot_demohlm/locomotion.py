@@ -42,7 +42,7 @@ class LocomotionSettings:
     damping: float = 0.3
     max_velocity: tuple[float, float, float, float] = (0.45, 0.25, 0.25, 0.5)
     integral_gain: float = 0.6
-    max_bias: tuple[float, float, float] = (0.1, 0.1, 0.2)
+    max_bias: tuple[float, float, float] = (0.12, 0.1, 0.2)
     bias_within: tuple[float, float, float] = (0.2, 0.15, 0.3)
     window_ticks: int = 7
     coast_s: float = 0.15

@@ -13,7 +13,8 @@ SUBSTEPS = 4
 def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
     """Compile a training model; with a generator, its friction, masses and gains are randomised.
 
-    Ranges: friction 0.5-1.1, hand loads 0-1.2 kg, torso mass -8..+12 %, torso centre of mass +-3 cm, gains +-10 %.
+    Ranges: friction 0.5-1.1, hand loads 0-1.2 kg (mostly light), torso mass -8..+12 %, torso centre of mass
+    +-2 cm, gains +-10 %.
     """
     spec = g1.load_body_spec()
     spec.option.timestep = TRAINING_DT
@@ -51,13 +52,13 @@ def _randomise(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[0.03, 0, 0],
             pos=[0.1, 0, 0],
-            mass=rng.uniform(0.01, 1.2),
+            mass=0.01 + 1.2 * rng.random() ** 3,  # mostly empty hands
             contype=0,
             conaffinity=0,
         )
     torso = spec.body("torso_link")
     torso.mass *= rng.uniform(0.92, 1.12)
-    torso.ipos = torso.ipos + rng.uniform(-0.03, 0.03, 3)
+    torso.ipos = torso.ipos + rng.uniform(-0.02, 0.02, 3)
     stiffness = rng.uniform(0.9, 1.1)
     for actuator in spec.actuators:
         actuator.gainprm[0] *= stiffness

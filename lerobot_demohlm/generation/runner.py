@@ -218,7 +218,6 @@ class _Progress:
             self._bar.set_postfix_str(f"success {_successes(records) / len(records):.1%}", refresh=False)
         total = self._bar.total or 0
         self._bar.update(min(self._count(), total) - self._bar.n)
-        self._bar.refresh()
 
     def __enter__(self) -> "_Progress":
         return self
