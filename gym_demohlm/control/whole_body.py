@@ -19,6 +19,7 @@ from gym_demohlm.robot import g1
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
 WEIGHTS_FORMAT = 1
 _BLOCK = 16
+_ONE_THREAD_PRODUCT = 262144  # multiplications
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 _SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
 _CLOCK = _SLEWED.stop
@@ -46,7 +47,7 @@ class Weights:
                 loaded = {name: arrays[name] for name in arrays.files}
             self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
             layers = int(self.metadata["layers"])
-            self.layers = [(loaded[f"weight_{i}"], loaded[f"bias_{i}"]) for i in range(layers)]
+            self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
             self.mean, self.scale, self.shift_table = loaded["mean"], loaded["scale"], loaded["shift_table"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
@@ -62,6 +63,17 @@ class Weights:
                 "train or install weights for this version",
             )
         self.hash = hashlib.sha256(content).hexdigest()
+
+
+def _split(weight: np.ndarray) -> list[np.ndarray]:
+    """Cut a layer into columns whose product with a block stays on one thread.
+
+    OpenBLAS shares larger products among threads that wait for one another far longer than such a product takes.
+    """
+    columns = weight.shape[1]
+    width = columns if _BLOCK * weight.size <= _ONE_THREAD_PRODUCT else 64
+    pieces = [weight[:, first : first + width] for first in range(0, columns, width)]
+    return pieces if len(pieces) == 1 else [np.ascontiguousarray(piece) for piece in pieces]
 
 
 def _elu(x: np.ndarray) -> np.ndarray:
@@ -170,8 +182,8 @@ class WholeBodyController:
     def _network(self, block: np.ndarray) -> np.ndarray:
         """Apply the layers to one block, (16, OBSERVATION_SIZE) -> (16, 15), float32."""
         last = len(self.weights.layers) - 1
-        for index, (weight, bias) in enumerate(self.weights.layers):
-            block = block @ weight + bias
+        for index, (pieces, bias) in enumerate(self.weights.layers):
+            block = np.concatenate([block @ piece for piece in pieces], axis=1) + bias
             if index < last:
                 block = _elu(block)
         return block
