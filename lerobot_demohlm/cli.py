@@ -72,6 +72,12 @@ VERBS = (
         example="demohlm push --root data/lift_box --repo-id USER/lift_box",
     ),
     Verb(
+        name="train",
+        module="lerobot_demohlm.training",
+        help="train the chunked MLP on a dataset, with LeRobot's training and the data held in memory",
+        example="demohlm train --root data/lift_box --output outputs/lift_box",
+    ),
+    Verb(
         name="evaluate",
         module="lerobot_demohlm.evaluation",
         help="roll a policy out from seeded starts and write one JSON line an episode",

@@ -11,7 +11,7 @@ from gym_demohlm.control import command, reference
 
 @dataclass(frozen=True, kw_only=True)
 class LocomotionSettings:
-    """The PD controller that walks the base to its goal.
+    """The PD controller, with an integral term, that walks the base to its goal.
 
     Attributes:
         position_gain: Velocity a metre of error [1/s].

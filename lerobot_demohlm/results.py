@@ -123,7 +123,27 @@ def _controller(lines: list[Line]) -> str:
     return f"{title}\n\n" + _table(["", "ours", "best published"], rows) + note
 
 
-_SECTIONS = (("generation.jsonl", _generation), ("policies.jsonl", _policies), ("controller.jsonl", _controller))
+def _time(lines: list[Line]) -> str:
+    rows = [
+        [
+            line["task"],
+            line["region"],
+            f"{line['seconds_per_episode']:.2f} s",
+            f"{line['simulated_s_per_episode']:.1f} s",
+            f"{100 * line['mj_step_share']:.0f} %",
+        ]
+        for line in _latest(lines, "task", "region")
+    ]
+    header = ["task", "region", "CPU time an episode, one core", "simulated", "share inside mj_step"]
+    return "**Time to generate**\n\n" + _table(header, rows)
+
+
+_SECTIONS = (
+    ("generation.jsonl", _generation),
+    ("generation_time.jsonl", _time),
+    ("policies.jsonl", _policies),
+    ("controller.jsonl", _controller),
+)
 
 
 def tables(results: Path) -> str:

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gym_demohlm.errors import PolicyError
-from lerobot_demohlm import cli, quickstart
+from lerobot_demohlm import cli, quickstart, training
 from lerobot_demohlm.dataset import OUTCOMES
 from lerobot_demohlm.report import Film, film_strip, render_report, write_video
 
@@ -106,7 +106,7 @@ def test_training_of_the_quickstart(tmp_path: Path) -> None:
     from lerobot_demohlm.evaluation import load_policy
 
     dataset_files.write_dataset(tmp_path / "data", "local/data", [make_episode(index) for index in range(3)])
-    checkpoint = quickstart.train(tmp_path / "train", tmp_path / "data", steps=2, seed=0)
+    checkpoint = training.train(tmp_path / "train", tmp_path / "data", steps=2, seed=0)
     loaded = load_policy(checkpoint, "LiftBox")
     assert (loaded.kind, loaded.num_train_episodes) == ("chunked_mlp", 3)
     saved = json.loads((checkpoint / "train_config.json").read_text())
