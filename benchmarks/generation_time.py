@@ -1,6 +1,6 @@
 """Attempts on one core -> seconds an episode, and the share of them inside MuJoCo's step.
 
-``OMP_NUM_THREADS=1 uv run python benchmarks/generation_time.py --region R2 --num-attempts 16``; the last line on stdout is
+``uv run python benchmarks/generation_time.py --region R2``; set OMP_NUM_THREADS=1. The last line on stdout is
 one JSON object. The share counts ``mujoco.rollout``, which is ``mj_step`` in a loop in C.
 """
 
