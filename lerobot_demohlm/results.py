@@ -6,12 +6,13 @@ A line says what was measured, by which command, at which commit. Tables are mad
 import argparse
 import json
 import subprocess
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.evaluation import wilson
+from lerobot_demohlm.evaluation import read_records, wilson
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 Line = dict[str, Any]
@@ -97,10 +98,29 @@ def _policies(lines: list[Line]) -> str:
     for line in _latest(lines, "task", "policy", "num_train_episodes", "region"):
         paper = PAPER_POLICY.get((line["task"], line["policy"]), "-")
         rate = _percent(line["successes"], line["episodes"])
-        size = str(line["num_train_episodes"])
+        size = f"{line['num_train_episodes']} episodes"
         rows.append([line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper])
     header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %"]
-    return "**Policies**, last checkpoint, seeds never used in generation\n\n" + _table(header, rows)
+    title = "**Policies**, last checkpoint, starts never used in generation, success held for 1 s"
+    return f"{title}\n\n" + _table(header, rows)
+
+
+def from_rollouts(path: Path) -> Line:
+    """Count the rollouts of one policy, as ``demohlm evaluate`` wrote them, into one result."""
+    records = read_records(path)
+    first = records[0]
+    return {
+        "task": first["task"],
+        "policy": first["policy_type"],
+        "policy_hash": first["policy_hash"],
+        "num_train_episodes": first["num_train_episodes"],
+        "region": first["region"],
+        "seed": first["seed"],
+        "episodes": len(records),
+        "successes": sum(record["success_held"] for record in records),
+        "outcomes": dict(Counter(record["outcome"] for record in records)),
+        "rollouts": path.name,
+    }
 
 
 _CONTROLLER = (
