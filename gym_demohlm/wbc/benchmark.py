@@ -209,10 +209,13 @@ def tick_share(num_worlds: int, seconds: float = 2.0) -> float:
     return ticks / (whole - ticks)
 
 
-def benchmark(num_worlds: int, seconds: float, seed: int, num_threads: int = 2) -> dict[str, Any]:
-    """Return the summary that ``demohlm benchmark controller`` prints as its last line."""
+def benchmark(
+    num_worlds: int, seconds: float, seed: int, num_threads: int = 2, ranges: CommandRange | None = None
+) -> dict[str, Any]:
+    """Return the summary that ``demohlm benchmark controller`` prints as its last line; arguments as in ``run``."""
+    ranges = ranges or CommandRange()
     simulation = Simulation(BENCHMARK_TASK, num_worlds=num_worlds, num_threads=num_threads)
-    common: dict[str, Any] = {"num_worlds": num_worlds, "seconds": seconds, "simulation": simulation}
+    common: dict[str, Any] = {"num_worlds": num_worlds, "seconds": seconds, "simulation": simulation, "ranges": ranges}
     plain = run(**common, seed=seed)
     pushed = run(**common, seed=seed, push_speed=0.5)
     return {
@@ -229,6 +232,8 @@ def benchmark(num_worlds: int, seconds: float, seed: int, num_threads: int = 2) 
         "num_worlds": num_worlds,
         "seconds": seconds,
         "seed": seed,
+        "largest_roll": ranges.roll[1],
+        "largest_yaw": ranges.yaw[1],
     }
 
 
@@ -237,12 +242,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-worlds", type=int, default=256, help="robots, one episode each")
     parser.add_argument("--seconds", type=float, default=20.0, help="length of an episode")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--roll", type=float, default=0.2, help="largest torso roll of standing robots [rad]")
+    parser.add_argument("--yaw", type=float, default=0.6, help="largest torso yaw of standing robots [rad]")
     parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Run ``demohlm benchmark controller``: the last line on stdout is one JSON object."""
-    found = benchmark(arguments.num_worlds, arguments.seconds, arguments.seed, arguments.num_threads)
+    roll, yaw = arguments.roll, arguments.yaw
+    ranges = CommandRange(roll=(-roll, roll), yaw=(-yaw, yaw))
+    found = benchmark(arguments.num_worlds, arguments.seconds, arguments.seed, arguments.num_threads, ranges)
     print(json.dumps({name: round(value, 5) if isinstance(value, float) else value for name, value in found.items()}))
 
 
