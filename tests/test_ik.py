@@ -245,3 +245,26 @@ def test_settings_change_the_rates() -> None:
     solution = call(slow, who, around(0.35, 0.2))
     assert solution.command[command.HEIGHT] == pytest.approx(g1.PELVIS_HEIGHT - 0.01, abs=1e-9)
     assert solution.command[command.PITCH] == pytest.approx(0.02, abs=1e-9)
+
+
+def test_torso_follows_the_head() -> None:
+    who = ObedientRobot()
+    ik = WholeBodyIK(who.model)
+    who.palms()
+    start = who.data.site("head_camera").xpos.copy()
+    goal = np.eye(4)
+    goal[:3, 3] = start + [0.10, 0.0, -0.10]  # lean forward and down
+    for _ in range(25):
+        T_world_pelvis, q = who.measure()
+        who.command = ik.solve(
+            T_world_pelvis=T_world_pelvis,
+            joint_positions=q,
+            T_world_left=None,
+            T_world_right=None,
+            previous=who.command,
+            T_world_head=goal,
+        ).command
+    who.palms()
+    reached = who.data.site("head_camera").xpos
+    assert np.linalg.norm(reached - goal[:3, 3]) < 0.4 * np.linalg.norm(start - goal[:3, 3])
+    assert np.array_equal(who.command[command.ARMS], command.rest()[command.ARMS])

@@ -21,6 +21,7 @@ from gym_demohlm.robot.urdf import urdf
 
 _PALMS = ("left_palm", "right_palm")
 _ARMS = (command.LEFT_ARM, command.RIGHT_ARM)
+_HEAD = "head_camera"
 _ROOT, _TORSO = "heading", "torso_link"
 # From the floor up; each name is a joint of the torso pass and an entry of the command.
 _TORSO_AXES = (("torso_height", "0 0 1"), ("torso_yaw", "0 0 1"), ("torso_pitch", "0 1 0"), ("torso_roll", "1 0 0"))
@@ -43,6 +44,7 @@ class IKSettings:
         pitch_weight: Pull of the torso to upright; weak, so that low targets bend it before they bend the knees.
         yaw_weight: Pull of the torso yaw to straight ahead.
         roll_weight: Pull of the torso roll to zero.
+        head_weight: Pull of the head to its target position, in the torso pass; the gaze controller turns it.
         torso_posture_weight: Pull of the arms to the home posture, in the torso pass.
         arm_posture_weight: The same in the arm pass; it chooses the elbow's height.
         regularization: Damping of each step.
@@ -60,6 +62,7 @@ class IKSettings:
     pitch_weight: float = 0.01
     yaw_weight: float = 0.1
     roll_weight: float = 1.0
+    head_weight: float = 1.0
     torso_posture_weight: float = 0.001
     arm_posture_weight: float = 0.001
     regularization: float = 1e-4
@@ -118,12 +121,13 @@ class _Pass:
         lower: np.ndarray,
         upper: np.ndarray,
         targets: list[np.ndarray | None],
+        p_world_head: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there."""
         q = start.copy()
         self.move(T_world_base, q)
         for _ in range(self.settings.iterations):
-            step = self._step(q, lower, upper, targets)
+            step = self._step(q, lower, upper, targets, p_world_head)
             q = np.clip(q + step, lower, upper)
             self.move(T_world_base, q)
         return q
@@ -150,7 +154,12 @@ class _Pass:
         return errors
 
     def _step(
-        self, q: np.ndarray, lower: np.ndarray, upper: np.ndarray, targets: list[np.ndarray | None]
+        self,
+        q: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        targets: list[np.ndarray | None],
+        p_world_head: np.ndarray | None,
     ) -> np.ndarray:
         """Solve one linearised problem for the change of the joints."""
         errors = self.errors(targets) * self.hand_scale
@@ -163,6 +172,11 @@ class _Pass:
                 jacobian = self.robot.frame_jacobian(palm, "local_world_aligned")[:, self.v_columns]
                 rows.append(self.hand_scale[:, None] * jacobian)
                 values.append(error)
+        if p_world_head is not None:
+            scale = np.sqrt(self.settings.head_weight)
+            jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns]
+            rows.append(scale * jacobian)
+            values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
         problem, residual = placo.Problem(), placo.Expression()
         change = problem.add_variable(len(q))
         residual.A, residual.b = np.concatenate(rows), -np.concatenate(values)
@@ -216,6 +230,7 @@ class WholeBodyIK:
         T_world_left: np.ndarray | None,
         T_world_right: np.ndarray | None,
         previous: np.ndarray,
+        T_world_head: np.ndarray | None = None,
         dt: float = 0.1,
     ) -> IKSolution:
         """Return the command that brings the palms to their targets, or as near as one step of `dt` gets.
@@ -226,6 +241,8 @@ class WholeBodyIK:
             T_world_left: Target of ``left_palm``, (4, 4); None keeps the previous arm.
             T_world_right: Target of ``right_palm``, likewise.
             previous: The command before, (23,); changes are limited to the rates of the settings times `dt`.
+            T_world_head: Target of ``head_camera``, (4, 4), of which the torso pass follows the position; None leaves
+                the torso to the hands alone.
             dt: Time since then [s].
 
         Raises:
@@ -238,15 +255,16 @@ class WholeBodyIK:
             None if target is None else _checked(name, target, (4, 4))
             for name, target in (("T_world_left", T_world_left), ("T_world_right", T_world_right))
         ]
+        head = None if T_world_head is None else _checked("T_world_head", T_world_head, (4, 4))[:3, 3]
         lower, upper = self._window(previous, dt)
         solution = previous.copy()
         solution[command.VELOCITY] = 0.0
 
         columns = _TORSO_COLUMNS + _ARM_COLUMNS
         planned = self._torso_pass.solve(
-            _heading(T_world_pelvis), previous[columns], lower[columns], upper[columns], targets
+            _heading(T_world_pelvis), previous[columns], lower[columns], upper[columns], targets, head
         )
-        if any(target is not None for target in targets):
+        if head is not None or any(target is not None for target in targets):
             solution[_TORSO_COLUMNS] = planned[: len(_TORSO_COLUMNS)]
         planned_errors = self._torso_pass.errors(targets)
 

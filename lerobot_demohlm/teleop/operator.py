@@ -35,12 +35,13 @@ class OperatorPoses:
     """Where an operator's head and hands are, in the robot's world.
 
     Attributes:
-        T_world_head: (4, 4) x forward, y left, z up. Not used so far: the torso is solved for the hands alone.
+        T_world_head: (4, 4) x forward, y left, z up; the torso follows its position, the neck looks where the gaze
+            controller turns it. None leaves the torso to the hands alone.
         T_world_hands: (2, 4, 4) left and right palm.
         grippers: (2,) 0 open .. 1 closed.
     """
 
-    T_world_head: np.ndarray
+    T_world_head: np.ndarray | None
     T_world_hands: np.ndarray
     grippers: np.ndarray
 

@@ -95,6 +95,7 @@ def record(
             joint_positions=sim.joint_positions[0],
             T_world_left=asked.T_world_hands[0],
             T_world_right=asked.T_world_hands[1],
+            T_world_head=asked.T_world_head,
             previous=last,
         )
         last = solution.command.copy()

@@ -41,7 +41,7 @@ class LiftBoxOperator:
         if view.tick >= len(self._path):
             return None
         return OperatorPoses(
-            T_world_head=view.T_world_head,
+            T_world_head=None,  # the script moves hands; how far to bend follows from them
             T_world_hands=self._path.T_world_hands[view.tick],
             grippers=self._path.grippers[view.tick],
         )
