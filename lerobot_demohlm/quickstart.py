@@ -39,7 +39,7 @@ class Quickstart:
     task: str = "LiftBox"
     region: str = "R1"
     num_episodes: int = 100
-    steps: int = 1500
+    steps: int = 2500
     num_rollouts: int = 50
     num_workers: int = 2
     seed: int = 0

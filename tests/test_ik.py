@@ -253,7 +253,7 @@ def test_torso_follows_the_head() -> None:
     who.palms()
     start = who.data.site("head_camera").xpos.copy()
     goal = np.eye(4)
-    goal[:3, 3] = start + [0.10, 0.0, -0.10]  # lean forward and down
+    goal[:3, 3] = start + np.array([0.10, 0.0, -0.10])  # lean forward and down
     for _ in range(25):
         T_world_pelvis, q = who.measure()
         who.command = ik.solve(
