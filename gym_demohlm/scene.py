@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from gym_demohlm import poses
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1, neck
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
@@ -44,7 +45,7 @@ class Scene:
         neck_qpos, neck_qvel: (2,) of the neck joints, yaw and pitch.
         jaw_qpos, jaw_qvel: (2,) of the left and right gripper jaw; empty with rubber hands.
         num_grippers: Controls are the body's, the neck's, then so many grippers'.
-        contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs.
+        contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs, then force_pairs.
         collision_address: (obstacles, slots) the same between the robot and task.obstacles.
     """
 
@@ -66,10 +67,13 @@ class Scene:
         self.jaw_qpos, self.jaw_qvel = self._joints([f"{jaw}_joint" for jaw in jaws])
         self.num_grippers = len(jaws)
         self._check_actuators()
-        self.contact_address = self._forces([_contact_name(side, name) for side, name in task.contact_pairs])
+        self.contact_address = self._forces([_contact_name(*pair) for pair in task.contact_pairs + task.force_pairs])
         self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
         self._standing_height = self._find_standing_height()
         self._placements = tuple(self._placement(entry) for entry in task.objects)
+        self._riders = {
+            carrier: tuple(self._free_joint(name) for name in names) for carrier, names in task.riders.items()
+        }
         bodies = {model.body(index).name: ("body", index) for index in range(model.nbody)}
         sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
         self._frames = bodies | sites
@@ -104,18 +108,36 @@ class Scene:
         mocap_pos = model.body_pos[mocap_bodies].copy()
         mocap_quat = model.body_quat[mocap_bodies].copy()
         for placement in self._placements:
-            entry = placement.spec
-            moved = (dy, dz, dyaw) if entry.placed else (0.0, 0.0, 0.0)
-            position = np.array(entry.position)
-            position[1:] += moved[:2]
-            quat = _yaw_quat(entry.yaw + moved[2])
+            position, quat = self._placed(placement.spec, dy, dz, dyaw)
             if placement.qpos_address is not None:
                 qpos[placement.qpos_address : placement.qpos_address + 7] = *position, *quat
-            else:
+            elif placement.mocap_index is not None:
                 mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
+            if placement.spec.height_joint is not None:
+                qpos[self._slide_address(placement.spec.height_joint)] = dz
+        for carrier, addresses in self._riders.items():
+            entry = self.task.object(carrier)
+            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, dy, dz, dyaw))
+            for address in addresses:
+                rider = poses.pose(model.qpos0[address : address + 3], model.qpos0[address + 3 : address + 7])
+                qpos[address : address + 7] = np.concatenate(poses.split(now @ poses.invert(start) @ rider))
         for index in self._supports:
             mocap_pos[index, 1:] += dy, dz
         return qpos, mocap_pos, mocap_quat
+
+    def _placed(self, entry: ObjectSpec, dy: float, dz: float, dyaw: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return position [m] and quaternion wxyz of an object moved by a region's offsets."""
+        if entry.moves_with is not None:
+            carrier = self.task.object(entry.moves_with)
+            now = poses.pose(*self._placed(carrier, dy, dz, dyaw))
+            return poses.split(
+                now @ poses.invert(_pose(carrier.position, carrier.yaw)) @ _pose(entry.position, entry.yaw)
+            )
+        if not entry.placed:
+            dy = dz = dyaw = 0.0
+        position = np.array(entry.position)
+        position[1:] += dy, 0.0 if entry.height_joint is not None else dz
+        return position, np.array(_yaw_quat(entry.yaw + dyaw))
 
     def _find_standing_height(self) -> float:
         """Return the height of the pelvis [m] at which the soles of the home pose touch the floor."""
@@ -143,11 +165,34 @@ class Scene:
         return starts + 3 * np.arange(_CONTACT_SLOTS)  # a contact force's first component is the normal one
 
     def _placement(self, spec: ObjectSpec) -> _Placement:
-        body = self._body(spec.name)
-        first = int(body.jntadr[0])
-        if first >= 0 and self.model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
-            return _Placement(spec, int(self.model.jnt_qposadr[first]), None)
+        address = self._free_joint_or_none(spec.name)
+        if address is not None:
+            return _Placement(spec, address, None)
+        body = self._body(spec.name).id
+        is_part = self.model.body_rootid[body] != body
+        if is_part and not spec.placed:
+            return _Placement(spec, None, None)
         return _Placement(spec, None, self._mocap_index(spec.name))
+
+    def _free_joint(self, name: str) -> int:
+        address = self._free_joint_or_none(name)
+        if address is None:
+            raise SceneError(f"a rider {name!r} that cannot be moved", "a free joint", "add_freejoint to it")
+        return address
+
+    def _free_joint_or_none(self, name: str) -> int | None:
+        first = int(self._body(name).jntadr[0])
+        free = first >= 0 and self.model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
+        return int(self.model.jnt_qposadr[first]) if free else None
+
+    def _slide_address(self, name: str) -> int:
+        found = {self.model.joint(index).name: index for index in range(self.model.njnt)}
+        if name not in found or self.model.jnt_type[found[name]] != mujoco.mjtJoint.mjJNT_SLIDE:
+            slides = [
+                joint for joint, index in found.items() if self.model.jnt_type[index] == mujoco.mjtJoint.mjJNT_SLIDE
+            ]
+            raise UnknownNameError("slide joint", name, slides)
+        return int(self.model.jnt_qposadr[found[name]])
 
     def _mocap_index(self, name: str) -> int:
         index = int(self._body(name).mocapid[0])
@@ -168,6 +213,12 @@ def build_scene(task: Task) -> Scene:
     return Scene(task)
 
 
+def aim_overview(spec: mujoco.MjSpec, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
+    """Put the overview camera at `eye`, looking at `target` [m, world]; for a task whose furniture hides the robot."""
+    camera = spec.camera(OVERVIEW_CAMERA)
+    camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
+
+
 def _build_spec(task: Task) -> mujoco.MjSpec:
     spec = robot_spec(task.hands)
     spec.modelname = task.name
@@ -175,6 +226,8 @@ def _build_spec(task: Task) -> mujoco.MjSpec:
     task.build(spec)
     for side, name in task.contact_pairs:
         _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
+    for first, second in task.force_pairs:
+        _add_contact_sensor(spec, _contact_name(first, second), first, second)
     for name in task.obstacles:
         _add_contact_sensor(spec, _collision_name(name), "pelvis", name)
     return spec
@@ -231,8 +284,8 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         diffuse=[0.5, 0.5, 0.5],
         castshadow=True,
     )
-    eye, target = np.array([1.55, -1.95, 1.35]), np.array([-0.3, 0.1, 0.55])
-    world.add_camera(name=OVERVIEW_CAMERA, pos=eye, quat=_look_at(eye, target), fovy=45)
+    world.add_camera(name=OVERVIEW_CAMERA, fovy=45)
+    aim_overview(spec, (1.55, -1.95, 1.35), (-0.3, 0.1, 0.55))
 
 
 def _add_contact_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
@@ -247,8 +300,8 @@ def _add_contact_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str)
     )
 
 
-def _contact_name(side: str, name: str) -> str:
-    return f"contact_{side}_{name}"
+def _contact_name(first: str, second: str) -> str:
+    return f"contact_{first}_{second}"
 
 
 def _collision_name(name: str) -> str:
@@ -261,6 +314,10 @@ def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
         expected = "'robot': [x, y, yaw] and 'object': [dy, dz, dyaw], finite numbers [m, rad]"
         raise SceneError(f"an initial state with {key}={values}", expected, "give all six numbers")
     return float(values[0]), float(values[1]), float(values[2])
+
+
+def _pose(position: tuple[float, float, float], yaw: float) -> np.ndarray:
+    return poses.pose(np.array(position), np.array(_yaw_quat(yaw)))
 
 
 def _yaw_quat(yaw: float) -> tuple[float, float, float, float]:

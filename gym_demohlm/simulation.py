@@ -127,7 +127,7 @@ class Simulation(Worlds):
             self._qpos[row] = qpos
             self._mocap[row] = np.concatenate([mocap_pos.ravel(), mocap_quat.ravel()])
         self._command[rows] = command.rest()
-        for array in (self._neck, self._forces, self._collisions, self._unstable):
+        for array in (self._neck, self._forces, self._collisions, self._unstable, self._memory):
             array[rows] = 0
         self._stale[rows] = True
         self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
@@ -152,7 +152,7 @@ class Simulation(Worlds):
             commands = np.where(stepped[:, None], commands, self._command)
         valid, num_clipped = command.clip(command.validate(commands, num_worlds))
         num_clipped = np.where(stepped, num_clipped, 0)
-        forces = np.zeros((num_worlds, TICKS, len(self.task.contact_pairs)))
+        forces = np.zeros((num_worlds, TICKS, self._forces.shape[1]))
         collisions = np.zeros((num_worlds, TICKS))
         rows = np.flatnonzero(stepped)
         previous_neck, next_neck = self._neck.copy(), self._next_neck()
@@ -167,10 +167,12 @@ class Simulation(Worlds):
         self._forces[rows], self._collisions[rows] = forces[rows, -1], collisions[rows, -1]
         self._command[stepped] = valid[stepped]
         self._stale[stepped] = True
+        if self.task.memory is not None:
+            self._memory[stepped] = self.task.memory.update(self, self._memory.copy())[stepped]
         return StepResult(
             commands=np.where(stepped[:, None], valid, 0.0),
             num_clipped=num_clipped,
-            contact_forces=forces,
+            contact_forces=forces[..., : len(self.task.contact_pairs)],
             collision_forces=collisions,
             unstable=self._unstable.copy(),
         )
@@ -178,7 +180,7 @@ class Simulation(Worlds):
     def snapshot(self, worlds: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return the whole state of worlds (all by default) as arrays with one row each."""
         rows = self._rows(worlds)
-        return {name: self._field(name)[rows].copy() for name in _SNAPSHOT_FIELDS}
+        return {name: self._field(name)[rows].copy() for name in self._fields}
 
     def restore(self, snapshot: dict[str, np.ndarray], worlds: np.ndarray | None = None) -> None:
         """Bring worlds (all by default) back to a snapshot, bit for bit.
@@ -187,14 +189,19 @@ class Simulation(Worlds):
             SceneError: The snapshot is of another task, controller or number of worlds.
         """
         rows = self._rows(worlds)
-        for name in _SNAPSHOT_FIELDS:
+        for name in self._fields:
             expected = (len(rows), *self._field(name).shape[1:])
             got = snapshot[name].shape if name in snapshot else None
             if got != expected:
                 raise SceneError(f"a snapshot with {name} of shape {got}", f"{expected}", "take it from such worlds")
-        for name in _SNAPSHOT_FIELDS:
+        for name in self._fields:
             self._field(name)[rows] = snapshot[name]
         self._stale[rows] = True
+
+    @property
+    def _fields(self) -> tuple[str, ...]:
+        """What makes a world; a task that remembers nothing has no field for it."""
+        return _SNAPSHOT_FIELDS if self.task.memory is None else (*_SNAPSHOT_FIELDS, "memory")
 
     def close(self) -> None:
         """Stop the threads."""
@@ -244,7 +251,7 @@ class Simulation(Worlds):
         return rows[sound]
 
     def _measure(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the contact forces (n, 5, pairs) and collision forces (n, 5) of the step's sensors [N]."""
+        """Return the forces of measured pairs (n, 5, pairs) and collision forces (n, 5) of the step's sensors [N]."""
         sensors = self._sensors[:, : len(rows)]
         contacts = sensors[..., self.scene.contact_address].sum(axis=-1).mean(axis=2)
         collisions = sensors[..., self.scene.collision_address].sum(axis=-1).max(axis=(2, 3), initial=0.0)

@@ -32,6 +32,8 @@ InitialState = dict[str, list[float]]
 Predicate = Callable[["Worlds"], np.ndarray]
 """A question put to all worlds at once: simulation -> (num_worlds,) bool."""
 
+MotionFrame = Literal["robot", "scene"]
+
 Range = tuple[float, float]
 
 
@@ -105,6 +107,9 @@ def limit_yaw(regions: Mapping[str, Region], object_yaw: float) -> dict[str, Reg
 class ObjectSpec:
     """One tracked object of a task: a body with a free joint, or a mocap body that carries something articulated.
 
+    A part of another object, such as a door on its cabinet, has neither: it is ``placed=False`` and goes where that
+    one goes.
+
     Attributes:
         name: Name of its body.
         position: Default position of the body's origin in the world [m].
@@ -112,6 +117,10 @@ class ObjectSpec:
         symmetry: Turns about the body's z axis [rad] after which it looks the same, 0 among them; ``"any"`` for
             a round thing; ``(0.0,)``, the default, for one without symmetry.
         placed: Whether a region moves it; otherwise it always starts at its default pose.
+        moves_with: Name of the object that it lies on or hangs in: it starts where the other's motion takes it, as if
+            both were one body. Its own ``placed`` does not matter then.
+        height_joint: Slide joint that takes a region's z offset instead of the body, for a thing that stands on the
+            floor and can be made taller or lower.
     """
 
     name: str
@@ -119,10 +128,27 @@ class ObjectSpec:
     yaw: float = 0.0
     symmetry: tuple[float, ...] | Literal["any"] = (0.0,)
     placed: bool = True
+    moves_with: str | None = None
+    height_joint: str | None = None
 
     def __post_init__(self) -> None:
         if self.symmetry != "any" and 0.0 not in self.symmetry:
             raise SceneError(f"symmetry {self.symmetry} of {self.name!r}", "angles with 0.0 among them", "add 0.0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """What a world remembers beside its physics, such as which parts of a board have been wiped.
+
+    Attributes:
+        size: How many numbers; all are 0 at the reset.
+        update: Asked after every step: worlds, their memory (N, size) -> the new memory (N, size).
+        draw: Paints the memory (size,) of one world on the model, just before that world is drawn.
+    """
+
+    size: int
+    update: Callable[["Worlds", np.ndarray], np.ndarray]
+    draw: Callable[[mujoco.MjModel, np.ndarray], None] = lambda _model, _memory: None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +166,14 @@ class Task:
         supports: Mocap bodies under the placed objects; they follow the region's y and z offsets.
         obstacles: Bodies that the robot should not touch; their contacts are reported as collisions.
         contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
+        force_pairs: Pairs of other bodies whose normal force is measured, such as a tool and what it works on.
         failures: Named predicates that say how the task went wrong, such as "dropped".
         regions: Initial regions by name.
         episode_length_s: Time limit [s].
+        motion_frame: What the motion after a touch is relative to: "robot" for one that ends at the body, such as a
+            lift; "scene" for one that things in the world lay down, such as the arc of a door.
+        riders: Bodies with free joints that start in or on an object and move with it, by that object's name.
+        memory: What a world remembers beside its physics; nothing by default.
     """
 
     name: str
@@ -155,15 +186,20 @@ class Task:
     supports: tuple[str, ...] = ()
     obstacles: tuple[str, ...] = ()
     contact_pairs: tuple[tuple[str, str], ...] = ()
+    force_pairs: tuple[tuple[str, str], ...] = ()
     failures: Mapping[str, Predicate] = field(default_factory=dict)
     regions: Mapping[str, Region] = REGIONS
     episode_length_s: float = 20.0
+    motion_frame: MotionFrame = "robot"
+    riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    memory: Memory | None = None
 
     def __post_init__(self) -> None:
         names = [spec.name for spec in self.objects]
         if len(set(names)) != len(names) or not names:
             raise SceneError(f"objects {names} in task {self.name}", "one or more, each name once", "rename one")
-        for name in (self.gaze_target, *(name for _, name in self.contact_pairs)):
+        carriers = [entry.moves_with for entry in self.objects if entry.moves_with is not None]
+        for name in (self.gaze_target, *(name for _, name in self.contact_pairs), *carriers, *self.riders):
             self.object(name)
         for side, _ in self.contact_pairs:
             if side not in ("left", "right"):

@@ -10,11 +10,14 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.robot import g1
+from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.scene import build_scene
 from gym_demohlm.task import Task
 
 FALLEN_HEIGHT = 0.35  # m; the lowest command is 0.45 m
+JAW_MARGIN = 0.002  # m: jaws this near to closed hold nothing
 FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS.value  # what a row of physics holds: time, qpos, qvel
 
@@ -44,9 +47,10 @@ class Worlds:
         self._mocap = np.zeros((num_worlds, 7 * model.nmocap))  # all positions, then all quaternions
         self._command = np.zeros((num_worlds, command.SIZE))
         self._neck = np.zeros((num_worlds, len(NECK_JOINTS)))  # rad, the neck's targets
-        self._forces = np.zeros((num_worlds, len(task.contact_pairs)))
+        self._forces = np.zeros((num_worlds, len(task.contact_pairs) + len(task.force_pairs)))
         self._collisions = np.zeros(num_worlds)
         self._unstable = np.zeros(num_worlds, dtype=bool)
+        self._memory = np.zeros((num_worlds, 0 if task.memory is None else task.memory.size))
         self._start_poses = np.zeros((num_worlds, len(task.objects), 4, 4))
         self._scratch = mujoco.MjData(model)
         self._frames = {
@@ -153,6 +157,35 @@ class Worlds:
             raise UnknownNameError("contact pair", f"{side}, {name}", [f"{a}, {b}" for a, b in pairs])
         return self._forces[:, pairs.index((side, name))].copy()
 
+    def pair_force(self, first: str, second: str) -> np.ndarray:
+        """Return the normal force (N,) between two bodies of ``task.force_pairs``, mean over the last tick [N].
+
+        Raises:
+            UnknownNameError: The task measures no such pair.
+        """
+        pairs = self.task.force_pairs
+        if (first, second) not in pairs:
+            raise UnknownNameError("force pair", f"{first}, {second}", [f"{a}, {b}" for a, b in pairs])
+        return self._forces[:, len(self.task.contact_pairs) + pairs.index((first, second))].copy()
+
+    def holds(self, side: str, name: str, force_n: float = 2.0) -> np.ndarray:
+        """Return whether a gripper (N,) is told to close, presses on an object and is kept from closing by it.
+
+        Args:
+            side: "left" or "right".
+            name: The object; the task measures that pair.
+            force_n: Least normal force on it [N].
+        """
+        index = g1.SIDES.index(side)
+        told = self._command[:, command.GRIPPERS][:, index] > 0.5
+        kept_open = self.gripper_positions[:, index] < GRIPPER.stroke - JAW_MARGIN
+        return told & kept_open & (self.contact_force(side, name) >= force_n)
+
+    @property
+    def memory(self) -> np.ndarray:
+        """(N, size) what the task remembers of each world, see ``Task.memory``."""
+        return self._memory.copy()
+
     @property
     def collision_force(self) -> np.ndarray:
         """(N,) largest normal force between robot and obstacles in the last tick [N]."""
@@ -177,6 +210,8 @@ class Worlds:
         """Return MuJoCo's data of a world for drawing, kinematics done; it changes at the next call."""
         self._load(world)
         mujoco.mj_fwdPosition(self.model, self._scratch)
+        if self.task.memory is not None:
+            self.task.memory.draw(self.model, self._memory[world])
         return self._scratch
 
     def _refresh_frames(self) -> None:

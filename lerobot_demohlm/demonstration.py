@@ -13,7 +13,7 @@ import io
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from lerobot_demohlm import provenance
 
 FORMAT_VERSION = 1
 FPS = 10
-CONTACT_FORCE_N = 2.0  # normal force from which a hand touches an object
+CONTACT_FORCE_N = 0.5  # normal force from which a hand touches an object: the push that moves 100 g of wood
 META_PATH = Path("meta/demonstration.json")
 SNAPSHOTS_PATH = Path("meta/snapshots.npz")
 CORRECTIONS_PATH = Path("meta/segments.json")
@@ -118,6 +118,11 @@ class Demonstration:
         return _matrices(self.object_poses)
 
     @functools.cached_property
+    def recording_hash(self) -> str:
+        """The content hash without the corrections, which may come later: what the files must still have when read."""
+        return self.content_hash if self.corrections is None else replace(self, corrections=None).content_hash
+
+    @functools.cached_property
     def content_hash(self) -> str:
         """SHA-256 of everything that generation depends on: task, arrays, snapshots, hashes, corrections."""
         digest = hashlib.sha256()
@@ -172,7 +177,7 @@ class Demonstration:
         arrays = {f"start.{name}": array for name, array in self.start.items()}
         arrays |= {f"end.{name}": array for name, array in self.end.items()}
         np.savez_compressed(root / SNAPSHOTS_PATH, allow_pickle=False, **arrays)
-        content = self.metadata | {"content_hash": self.content_hash}
+        content = self.metadata | {"content_hash": self.recording_hash}
         (root / META_PATH).write_text(json.dumps(content, indent=2, sort_keys=True) + "\n")
         if self.corrections is not None:
             (root / CORRECTIONS_PATH).write_text(json.dumps(self.corrections, indent=2) + "\n")
@@ -264,9 +269,9 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
             f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another --demonstration"
         )
     demonstration = _read(root, get_task(metadata["task"]), metadata)
-    if demonstration.content_hash != metadata.get("content_hash"):
+    if demonstration.recording_hash != metadata.get("content_hash"):
         raise DemonstrationError(
-            f"{root} with content hash {demonstration.content_hash[:12]}",
+            f"{root} with content hash {demonstration.recording_hash[:12]}",
             f"{str(metadata.get('content_hash'))[:12]}, as when it was recorded",
             "restore the files, or record it again",
         )

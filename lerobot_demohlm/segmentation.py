@@ -2,27 +2,41 @@
 
 Before a hand touches an object it follows the object (pre-manipulation); from the touch on it follows the robot
 (manipulation), until it lets go and heads for another object. A gripper that closes just before it
-presses begins that touch. Hands that take one object at about the same time switch together.
+presses begins that touch. Hands that take one object at about the same time switch together. A hand that takes an
+object out of the other's follows it anew from where the other has brought it to rest. Once the demonstration walks,
+hands that hold something follow the base.
 """
 
 import argparse
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
 from gym_demohlm.task import get_task
-from lerobot_demohlm.demonstration import CONTACT_FORCE_N, Demonstration, load, require_contact
+from lerobot_demohlm.demonstration import (
+    CONTACT_FORCE_N,
+    CORRECTIONS_PATH,
+    Demonstration,
+    default_root,
+    load,
+    require_contact,
+)
 from lerobot_demohlm.generation.retarget import ANCHORS, Anchor
 
 CONTACT_TICKS = 2  # a touch or a release counts once it has lasted this long (0.2 s)
 TOGETHER_TICKS = 8  # hands that take one object within this time act together (0.8 s)
+RETOUCH_TICKS = 6  # a hand that lets go of an object and touches it again within this time has not let go (0.6 s)
 GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
+REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
+MIN_REST_TICKS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,21 +149,73 @@ def segment(demonstration: Demonstration) -> list[Segment]:
     found = events(demonstration)
     switches = {hand: _switches([event for event in found if event.hand == hand]) for hand in g1.SIDES}
     switches = _together(switches)
+    frame = get_task(demonstration.task).motion_frame
+    anchor: Anchor = "eef" if frame == "scene" else "eef_heading"
+    tracks = {hand: _track(hand, switches[hand], length, anchor) for hand in g1.SIDES}
     segments = []
-    for hand in g1.SIDES:
-        segments += _track(hand, switches[hand], length)
+    for hand, other in zip(g1.SIDES, reversed(g1.SIDES), strict=True):
+        taken_over = _cut_at_rest(demonstration, tracks[hand], switches[other])
+        segments += _cut_at_steps(demonstration, taken_over)
     return segments
+
+
+def _cut_at_rest(
+    demonstration: Demonstration, track: list[Segment], others: list[tuple[int, int | None, str]]
+) -> list[Segment]:
+    """Cut approaches to an object that the other hand takes first at the tick at which it is brought to rest."""
+    names = [entry.name for entry in get_task(demonstration.task).objects]
+    cut = []
+    for entry in track:
+        taken = [tick for tick, _, name in others if name == entry.object and entry.start <= tick < entry.stop]
+        if entry.kind == "object" and taken:
+            assert entry.object is not None  # object segments have one
+            T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
+            distance = np.linalg.norm(T[:, :3, 3] - T[-1, :3, 3], axis=-1)
+            angle = np.linalg.norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T), axis=-1)
+            moving = np.flatnonzero((distance > REST_M) | (angle > REST_RAD))
+            rest = int(moving[-1]) + 1 if len(moving) else entry.start
+            if max(taken) < rest <= entry.stop - MIN_REST_TICKS:
+                cut += [replace(entry, stop=rest), replace(entry, start=rest)]
+                continue
+        cut.append(entry)
+    return cut
+
+
+def _cut_at_steps(demonstration: Demonstration, track: list[Segment]) -> list[Segment]:
+    """Cut the motion of hands where the robot begins to walk; from there on they follow the base.
+
+    Also once it stands again: hands told to stay in the world, on a cart that rolls, would have the torso lean after
+    them while the leaning moves the base back.
+    """
+    walks = np.abs(demonstration.action[:, command.VELOCITY]).max(axis=1) > 0.0
+    cut = []
+    for entry in track:
+        steps = entry.start + np.flatnonzero(walks[entry.start : entry.stop])
+        if entry.kind == "object" or not len(steps):
+            cut.append(entry)
+            continue
+        first = int(steps[0])
+        if first > entry.start:
+            cut.append(replace(entry, stop=first))
+        cut.append(replace(entry, start=first, anchor="base"))
+    return cut
 
 
 def _switches(found: list[Event]) -> list[tuple[int, int | None, str]]:
     """Return (touch, release, object) of a hand; a gripper closing just before or during a touch brings it forward."""
     touches = [event for event in found if event.kind == "touch"]
-    switches = []
+    switches: list[tuple[int, int | None, str]] = []
     for event in touches:
         releases = [e.tick for e in found if e.kind == "release" and e.object == event.object and e.tick > event.tick]
+        release = min(releases, default=None)
         closing = [e.tick for e in found if e.kind == "close" and 0 <= event.tick - e.tick <= TOGETHER_TICKS]
         assert event.object is not None  # touches have one
-        switches.append((min([event.tick, *closing]), min(releases, default=None), event.object))
+        if switches and switches[-1][2] == event.object:
+            touch, let_go, name = switches[-1]
+            if let_go is not None and event.tick - let_go <= RETOUCH_TICKS:
+                switches[-1] = (touch, release, name)
+                continue
+        switches.append((min([event.tick, *closing]), release, event.object))
     return switches
 
 
@@ -166,7 +232,7 @@ def _together(
     return together
 
 
-def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int) -> list[Segment]:
+def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int, anchor: Anchor) -> list[Segment]:
     """Return a hand's segments: to each object, then with it until the approach to the next one begins."""
     if not switches:  # it touches nothing: it keeps its place on the robot
         return [Segment(hand=hand, kind="proprioception", start=0, stop=length, object=None, anchor="root")]
@@ -179,7 +245,9 @@ def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int) 
             segments.append(Segment(hand=hand, kind="object", start=start, stop=touch, object=name))
         begin = max(touch, start)
         if stop > begin:
-            segments.append(Segment(hand=hand, kind="proprioception", start=begin, stop=stop, object=name))
+            segments.append(
+                Segment(hand=hand, kind="proprioception", start=begin, stop=stop, object=name, anchor=anchor)
+            )
             start = stop
     return segments
 
@@ -231,11 +299,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm segment``."""
     parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
     parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
+    parser.add_argument("--figure", type=Path, help="draw the timeline into this PNG")
+    parser.add_argument(
+        "--write-corrections",
+        action="store_true",
+        help="write the segments to meta/segments.json, to be corrected there",
+    )
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Print the events and segments of a demonstration."""
-    demonstration = load(arguments.root, get_task(arguments.task))
+    """Print the events and segments of a demonstration, draw them, write them down for corrections."""
+    task = get_task(arguments.task)
+    demonstration = load(arguments.root, task)
     print("   tick  hand   event")
     for event in events(demonstration):
         print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
@@ -243,3 +318,13 @@ def main(arguments: argparse.Namespace) -> None:
     for entry in segment(demonstration):
         what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
         print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
+    if arguments.figure is not None:
+        from lerobot_demohlm.timeline import write_timeline
+
+        write_timeline(demonstration, arguments.figure)
+        print(f"\n{arguments.figure}")
+    if arguments.write_corrections:
+        path = (arguments.root or default_root(task)) / CORRECTIONS_PATH
+        content = {"segments": [asdict(entry) for entry in segment(demonstration)]}
+        path.write_text(json.dumps(content, indent=2) + "\n")
+        print(f"\n{path}: correct it by hand; remove it to have the segments found again")

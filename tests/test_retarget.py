@@ -1,6 +1,7 @@
 """Retargeting keeps what makes a demonstration work: itself, planar motions, lifts, squeezes, continuity."""
 
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -199,3 +200,32 @@ def test_transit_ends_at_its_target_without_jumps(seed: int) -> None:
     distance = np.linalg.norm(end[:, :3, 3] - start[:, :3, 3], axis=-1)
     assert (steps <= 1.51 * distance / 20).all()
     assert (steps[[0, -1]] <= 0.2 * distance / 20).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_hands_on_a_walking_base_keep_their_place_on_it(seed: int) -> None:
+    scene = Scene(seed)
+    moved = random_planar(scene.rng) @ scene.root
+    carried = retarget.carried_targets(scene.approach[0], scene.root, moved)
+    np.testing.assert_allclose(poses.invert(moved) @ carried, poses.invert(scene.root) @ scene.approach[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("symmetry", ["any", SQUARE])
+def test_a_second_object_decides_from_where_to_act(seed: int, symmetry: tuple[float, ...] | Literal["any"]) -> None:
+    """Where bottle and bowl have both been moved by one planar motion, the base goal has been, however they turned."""
+    scene = Scene(seed)
+    bowl = upright(scene.rng)
+    motion = random_planar(scene.rng)
+    spin = scene.rng.uniform(-math.pi, math.pi) if symmetry == "any" else scene.rng.choice(SQUARE)
+    placement = retarget.choose_placement(
+        symmetry,
+        T_W_Rd=scene.root,
+        T_W_Od=scene.object,
+        T_W_O=motion @ scene.object @ poses.planar(0.0, 0.0, spin),
+        T_W_R=upright(scene.rng),
+        others=[(bowl, motion @ bowl @ poses.planar(0.0, 0.0, 1.0))],
+    )
+    expected = poses.to_planar(motion @ scene.root)
+    np.testing.assert_allclose(placement.goal[:2], expected[:2], atol=1e-9)
+    np.testing.assert_allclose(poses.wrap_angle(placement.goal[2] - expected[2]), 0.0, atol=1e-9)

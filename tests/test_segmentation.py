@@ -49,7 +49,7 @@ def test_a_brush_is_no_touch_and_a_slip_no_release() -> None:
     slip = forces(30, left=(5, 25))
     slip[12, 0] = 0.0
     assert [event.tick for event in segmentation.contact_events(slip, PAIRS)] == [5, 25]
-    weak = forces(30, left=(5, 25)) * 0.1
+    weak = forces(30, left=(5, 25)) * 0.04
     assert segmentation.contact_events(weak, PAIRS) == []
 
 
@@ -154,3 +154,42 @@ def test_corrections_that_do_not_fit_are_errors(demonstration: Demonstration, ch
     wrong = dataclasses.replace(demonstration, corrections=corrections(len(demonstration), **changes))
     with pytest.raises(DemonstrationError, match=r"segments\.json"):
         segmentation.segment(wrong)
+
+
+def test_a_short_gap_is_no_second_approach(demonstration: Demonstration) -> None:
+    touches = forces(len(demonstration), left=(20, 30))
+    touches[34:50, 0] = 10.0
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches))
+    left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
+    assert left == [("object", 0, 20), ("proprioception", 20, len(demonstration))]
+
+
+def test_a_hand_that_takes_over_follows_the_object_from_where_it_came_to_rest(demonstration: Demonstration) -> None:
+    """The right hand has the box from tick 20 and brings it to rest at 40; the left one takes it at 60."""
+    objects = demonstration.object_poses.copy()
+    objects[:] = objects[0]
+    objects[:, 0, 1] += np.clip((np.arange(len(objects)) - 25) / 15, 0, 1) * 0.3
+    handed = dataclasses.replace(with_forces(demonstration, right=(20, 75), left=(60, 80)), object_poses=objects)
+    segments = segmentation.segment(handed)
+    left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
+    assert [entry[0] for entry in left] == ["object", "object", "proprioception"]
+    assert left[0][2] == left[1][1] and 38 <= left[1][1] <= 41
+    right = [(entry.kind, entry.start) for entry in segments if entry.hand == "right"]
+    assert right == [("object", 0), ("proprioception", 20)]
+    # An object that is still on its way is met where it was seen first.
+    objects[:, 0, 1] = np.arange(len(objects)) * 0.01
+    moving = segmentation.segment(dataclasses.replace(handed, object_poses=objects))
+    assert [entry.kind for entry in moving if entry.hand == "left"] == ["object", "proprioception"]
+
+
+def test_hands_follow_the_base_once_it_walks(demonstration: Demonstration) -> None:
+    action = demonstration.action.copy()
+    action[40:55, 0] = 0.3
+    walking = dataclasses.replace(with_forces(demonstration, left=(20, 80), right=(20, 80)), action=action)
+    for hand in ("left", "right"):
+        track = [entry for entry in segmentation.segment(walking) if entry.hand == hand]
+        assert [(entry.kind, entry.anchor, entry.start) for entry in track] == [
+            ("object", "eef_heading", 0),
+            ("proprioception", "eef_heading", 20),
+            ("proprioception", "base", 40),
+        ]

@@ -155,7 +155,7 @@ class Attempts:
         world, demonstration = attempt.world, self.demonstration
         placement = stages.choose_placement(world, self.task, demonstration, self._segments)
         yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
-        playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings.playback)
+        playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)
         for wanted in playback.run():
             attempt.stage = playback.stage
             yield wanted

@@ -10,9 +10,10 @@ from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation import retarget
-from lerobot_demohlm.generation.stages import MANIPULATION, PRE_MANIPULATION, PlaybackSettings, StageError
+from lerobot_demohlm.generation.base_path import BasePath
+from lerobot_demohlm.generation.stages import MANIPULATION, PRE_MANIPULATION, Settings, StageError, first_approach
 from lerobot_demohlm.generation.world import World
-from lerobot_demohlm.segmentation import Segment, groups
+from lerobot_demohlm.segmentation import TOGETHER_TICKS, Segment, gripper_events, groups
 
 
 class Playback:
@@ -37,21 +38,31 @@ class Playback:
         demonstration: Demonstration,
         segments: Sequence[Segment],
         symmetry: np.ndarray,
-        settings: PlaybackSettings,
+        settings: Settings,
     ) -> None:
-        self.world, self.task, self.demonstration, self.settings = world, task, demonstration, settings
+        self.world, self.task, self.demonstration = world, task, demonstration
+        self.settings, self.grip = settings.playback, settings.grip
         self.stage = PRE_MANIPULATION
         self._names = [entry.name for entry in task.objects]
         self._groups = groups(segments)
-        self._symmetries = {self._groups[0][0].object: symmetry}
+        self._symmetries = {first_approach(segments).object: symmetry}
         self._tracks = {hand: [entry for entry in segments if entry.hand == hand] for hand in g1.SIDES}
         self._targets = np.tile(np.eye(4), (len(demonstration), len(g1.SIDES), 1, 1))
         self._last = world.hands()  # where the hands are stands in for the first commanded target
         self._trailing = 0
+        self._motions: dict[int, np.ndarray] = {}  # of hands that follow an object: from the demonstrated scene to this
+        self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
+        self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
+        self._base_path = BasePath(demonstration, self.settings)
+        closing = [event for event in gripper_events(demonstration.action) if event.kind == "close"]
+        self._closing = {} if task.hands == "rubber" else _by_tick([(event.tick, event.hand) for event in closing])
 
     def run(self) -> Iterator[np.ndarray]:
         """Yield commands until the demonstration is over."""
         for tick in range(len(self.demonstration)):
+            closing = self._closing.get(tick, [])
+            if closing:
+                yield from self._settle(tick, closing)
             starting = [group for group in self._groups if group[0].start == tick]
             for group in starting:
                 self._start(group)
@@ -60,7 +71,13 @@ class Playback:
             if self.stage == PRE_MANIPULATION and self._touching(tick):
                 self._check_reached()
                 self.stage = MANIPULATION
-            yield self._command(self._targets[tick], tick)
+            self._follow_base(tick)
+            self._steer(tick)
+            yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self.world.pose("pelvis")))
+            if self._base_path.ends(tick):
+                yield from self._walk_on(tick)
+            if closing:
+                yield from self._verify_grip(tick, closing)
         last = self.world.command()
         for _ in range(self.settings.final_ticks):
             yield last
@@ -77,10 +94,19 @@ class Playback:
             T_W_O = self.world.pose(first.object)
             symmetry = self._symmetry(first.object, T_W_Od, T_W_O, first.start)
             targets = retarget.object_targets(demonstrated, T_W_Od, T_W_O, symmetry)
+            motion = retarget.scene_motion(T_W_Od, T_W_O, symmetry)
+            self._motions |= dict.fromkeys(hands, motion)
+            self._shift[hands] = 0.0
         else:
+            for hand in hands:
+                self._motions.pop(hand, None)
             before = max(first.start - 1, 0)
             last_d = self.demonstration.T_world_targets[before][hands]
             T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[first.start], self.world.pose("pelvis")
+            if first.anchor == "base":
+                carried = retarget.carried_targets(last_d, T_W_Rd, T_W_R)
+                self._held_on_base[hands] = poses.invert(carried) @ self._last[hands]
+                return  # these targets are found tick by tick
             if first.start == 0:  # a hand that follows the robot from the beginning keeps its place on it
                 last = retarget.object_targets(last_d, poses.heading(T_W_Rd), poses.heading(T_W_R), np.eye(4))
             else:
@@ -94,6 +120,78 @@ class Playback:
             )
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
             self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
+
+    def _steer(self, tick: int) -> None:
+        """Move the targets of hands that follow an object by what they measurably miss: arms sag as they are held."""
+        measured = self.world.hands()
+        for hand, motion in self._motions.items():
+            missed = (motion @ self.demonstration.T_world_hands[tick, hand] - measured[hand])[:3, 3]
+            shift = self._shift[hand] + self.settings.steering_gain * missed
+            self._shift[hand] = shift * min(1.0, self.settings.max_shift_m / max(float(np.linalg.norm(shift)), 1e-9))
+            self._targets[tick, hand, :3, 3] += self._shift[hand]
+
+    def _follow_base(self, tick: int) -> None:
+        """Fill in the targets of hands that follow the base as it walks."""
+        for hand, side in enumerate(g1.SIDES):
+            here = next(entry for entry in self._tracks[side] if entry.start <= tick < entry.stop)
+            if here.anchor == "base" and here.kind == "proprioception":
+                demonstrated = self.demonstration.T_world_targets[tick, hand]
+                T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[tick], self.world.pose("pelvis")
+                carried = retarget.carried_targets(demonstrated, T_W_Rd, T_W_R)
+                self._targets[tick, hand] = carried @ self._held_on_base[hand]
+
+    def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
+        """Walk what is left of a walk that ends with this tick."""
+        for _ in range(self.settings.arrive_ticks):
+            velocity = self._base_path.remaining_velocity(tick, self.world.pose("pelvis"))
+            if velocity is None:
+                return
+            self._follow_base(tick)
+            yield self._command(self._targets[tick], tick, velocity)
+
+    def _approached(self, tick: int, side: str) -> Segment | None:
+        """Return the segment in which a hand goes to the object that it is about to take hold of at a tick."""
+        approaches = [entry for entry in self._tracks[side] if entry.kind == "object" and entry.start < tick]
+        recent = [entry for entry in approaches if tick - entry.stop <= TOGETHER_TICKS]
+        return recent[-1] if recent else None
+
+    def _settle(self, tick: int, sides: Sequence[str]) -> Iterator[np.ndarray]:
+        """Wait until hands are beside their objects as they were in the demonstration, moving targets as it takes."""
+        wanted: dict[int, np.ndarray] = {}
+        for side in sides:
+            entry = self._approached(tick, side)
+            if entry is not None and entry.object is not None:
+                T_W_Od = self.demonstration.T_world_objects[tick, self._names.index(entry.object)]
+                T_W_O = self.world.pose(entry.object)
+                motion = retarget.scene_motion(T_W_Od, T_W_O, self._symmetry(entry.object, T_W_Od, T_W_O, tick))
+                hand = g1.SIDES.index(side)
+                wanted[hand] = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3]
+        planned = self._last.copy()
+        for _ in range(self.grip.settle_ticks):
+            measured = self.world.hands()
+            errors = {hand: position - measured[hand, :3, 3] for hand, position in wanted.items()}
+            if all(float(np.linalg.norm(error)) < self.grip.settle_m for error in errors.values()):
+                return
+            targets = self._last.copy()
+            for hand, error in errors.items():
+                moved = targets[hand, :3, 3] + self.grip.gain * error - planned[hand, :3, 3]
+                length = max(float(np.linalg.norm(moved)), 1e-9)
+                moved *= min(1.0, self.grip.max_correction_m / length)
+                targets[hand, :3, 3] = planned[hand, :3, 3] + moved
+            yield self._command(targets, tick - 1)
+
+    def _verify_grip(self, tick: int, sides: Sequence[str]) -> Iterator[np.ndarray]:
+        """Wait until closed grippers press on their objects; one that closes on nothing has missed its object."""
+        pairs = []
+        for side in sides:
+            entry = self._approached(tick, side)
+            if entry is not None and (side, entry.object) in self.task.contact_pairs:
+                pairs.append((side, str(entry.object)))
+        for _ in range(self.grip.grip_ticks):
+            if all(self.world.contact_force(*pair) >= self.grip.grip_n for pair in pairs):
+                return
+            yield self._command(self._targets[tick], tick)
+        raise StageError("dropped")
 
     def _symmetry(self, name: str, T_W_Od: np.ndarray, T_W_O: np.ndarray, tick: int) -> np.ndarray:
         if name not in self._symmetries:
@@ -120,7 +218,7 @@ class Playback:
             for entry in track
         )
 
-    def _command(self, targets: np.ndarray, tick: int) -> np.ndarray:
+    def _command(self, targets: np.ndarray, tick: int, velocity: np.ndarray | None = None) -> np.ndarray:
         solution = self.world.ik.solve(
             T_world_pelvis=self.world.pose("pelvis"),
             joint_positions=self.world.joint_positions(),
@@ -139,8 +237,19 @@ class Playback:
                     raise StageError("collided")
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
+        if velocity is not None and velocity.any():
+            result[command.VELOCITY] = velocity
+            result[command.HEIGHT] = max(result[command.HEIGHT], self.settings.walk_height)
+            result[command.PITCH] = min(result[command.PITCH], self.settings.walk_pitch)
         return result
 
     def _check_reached(self) -> None:
         if self._error.max() > self.settings.reach_error_m:
             raise StageError("ik_failed")
+
+
+def _by_tick(found: Sequence[tuple[int, str]]) -> dict[int, list[str]]:
+    grouped: dict[int, list[str]] = {}
+    for tick, side in found:
+        grouped.setdefault(tick, []).append(side)
+    return grouped

@@ -8,6 +8,7 @@ The paper's formulas taken literally do not adapt anything: ``(T_eef T_obj^-1) T
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,13 +16,15 @@ import numpy as np
 
 from gym_demohlm import poses
 
-Anchor = Literal["eef_heading", "eef", "root", "world"]
+Anchor = Literal["eef_heading", "eef", "root", "world", "base"]
 """Frame in which the motion after the switch is repeated: the end effector's origin with the root's heading, the whole
-end-effector pose, the root, or the end effector's origin with the world's axes."""
+end-effector pose, the root, or the end effector's origin with the world's axes, each frozen at the switch; or the base
+as it moves on, for hands that hold something while the robot walks."""
 
-ANCHORS: tuple[Anchor, ...] = ("eef_heading", "eef", "root", "world")
+ANCHORS: tuple[Anchor, ...] = ("eef_heading", "eef", "root", "world", "base")
 ANY_YAW_CANDIDATES = 72  # every 5 degrees, for a round object
 TURN_WEIGHT = 0.4  # m/rad: what a radian of turning costs compared with a metre of walking
+LAYOUT_WEIGHT = 20.0  # m/m: what another object a metre from where the motion expects it costs
 
 
 def object_targets(T_W_Ed: np.ndarray, T_W_Od: np.ndarray, T_W_O: np.ndarray, symmetry: np.ndarray) -> np.ndarray:
@@ -97,6 +100,20 @@ def anchored_targets(
     return G @ D @ (poses.invert(G) @ last)
 
 
+def carried_targets(T_W_Ed: np.ndarray, T_W_Rd: np.ndarray, T_W_R: np.ndarray) -> np.ndarray:
+    """Bring demonstrated hands to where the base is now, on the floor plane: hands that a walking robot holds still.
+
+    Args:
+        T_W_Ed: (hands, 4, 4) demonstrated targets at a tick.
+        T_W_Rd: (4, 4) demonstrated root then.
+        T_W_R: (4, 4) root now.
+
+    Returns:
+        (hands, 4, 4) targets in the world.
+    """
+    return poses.planar(*poses.to_planar(T_W_R)) @ poses.invert(poses.planar(*poses.to_planar(T_W_Rd))) @ T_W_Ed
+
+
 def transit(T_from: np.ndarray, T_to: np.ndarray, num_ticks: int) -> np.ndarray:
     """Return num_ticks poses (num_ticks, ..., 4, 4) that ease from T_from (excluded) to T_to (the last one).
 
@@ -139,8 +156,12 @@ def choose_placement(
     T_W_O: np.ndarray,
     T_W_R: np.ndarray,
     clearance_m: float = 0.0,
+    others: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> Placement:
     """Choose the symmetry that costs least walking and turning (with it the arms move least: they follow the base).
+
+    With more than one object it must also leave the others where the motion expects them: a round bottle may be taken
+    from any side, but not the bottle beside a cup.
 
     Args:
         symmetry: The object's, as in ``ObjectSpec``.
@@ -149,17 +170,30 @@ def choose_placement(
         T_W_O: (4, 4) object now.
         T_W_R: (4, 4) root now.
         clearance_m: Distance that the walk must keep from the object; a way around it costs its length.
+        others: Demonstrated and present pose (4, 4) of each other object.
     """
     here = poses.to_planar(T_W_R)
     best: Placement | None = None
-    for S in symmetry_group(symmetry):
+    candidates = symmetry_group(symmetry)
+    if symmetry == "any" and others:
+        candidates = _aligning_turn(T_W_Od, T_W_O, *others[0])[None]
+    for S in candidates:
         goal = base_goal(T_W_Rd, T_W_Od, T_W_O, S)
         length = walk_length(here[:2], goal[:2], T_W_O[:2, 3], clearance_m)
         cost = length + TURN_WEIGHT * abs(float(poses.wrap_angle(goal[2] - here[2])))
+        motion = scene_motion(T_W_Od, T_W_O, S)
+        cost += LAYOUT_WEIGHT * sum(float(np.linalg.norm((motion @ then - now)[:2, 3])) for then, now in others)
         if best is None or cost < best.cost - 1e-9:
             best = Placement(symmetry=S, goal=goal, cost=cost)
     assert best is not None  # every group holds the identity
     return best
+
+
+def _aligning_turn(T_W_Od: np.ndarray, T_W_O: np.ndarray, then: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """Return the turn (4, 4) of a round object after which another lies in the direction that the motion expects."""
+    seen_then, seen_now = (then - T_W_Od)[:2, 3], (now - T_W_O)[:2, 3]
+    turned = math.atan2(seen_now[1], seen_now[0]) - math.atan2(seen_then[1], seen_then[0])
+    return poses.planar(0.0, 0.0, turned - float(poses.yaw(T_W_O)) + float(poses.yaw(T_W_Od)))
 
 
 def walk_length(start: np.ndarray, goal: np.ndarray, obstacle: np.ndarray, clearance_m: float) -> float:

@@ -30,6 +30,15 @@ class PlaybackSettings:
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
         hold_error_m: The same during manipulation, where a robot that stands a little off may trail.
         hold_ticks: How long it may last.
+        steering_gain: Share of what a hand misses that each tick moves its target by, while it follows an object.
+        max_shift_m: Most of it.
+        path_gain: Velocity for a metre or radian that the base is off its path while hands hold something, forward,
+            sideways and turning [1/s].
+        max_path_velocity: Most that this changes the demonstrated velocity by [m/s, m/s, rad/s].
+        walk_height: Least torso height while hands hold something and the base walks [m], and
+        walk_pitch: most torso pitch [rad]: a controller does not step with a robot that bends deeply.
+        arrive_m: A walk with this little of its way left is done.
+        arrive_ticks: Longest time to walk on where more is left.
         displaced_m: An object pushed further than this before the hands take it was run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
     """
@@ -39,14 +48,44 @@ class PlaybackSettings:
     reach_error_m: float = 0.06
     hold_error_m: float = 0.15
     hold_ticks: int = 10
+    steering_gain: float = 0.1
+    max_shift_m: float = 0.03
+    path_gain: tuple[float, float, float] = (1.0, 0.5, 0.5)
+    max_path_velocity: tuple[float, float, float] = (0.2, 0.1, 0.2)
+    walk_height: float = 0.69
+    walk_pitch: float = 0.32
+    arrive_m: float = 0.05
+    arrive_ticks: int = 25
     displaced_m: float = 0.06
     final_ticks: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripSettings:
+    """How a gripper closes: first the hand settles where the demonstrated one was, then the grip is verified.
+
+    Attributes:
+        settle_m: A hand this near to its place beside the object is settled.
+        settle_ticks: Longest settling; whether it was near enough shows in the grip.
+        gain: Share of the remaining error that each tick takes off by moving the target.
+        max_correction_m: Furthest that the target is moved.
+        grip_n: Least normal force of a grip.
+        grip_ticks: Longest wait for it; without it the object was missed.
+    """
+
+    settle_m: float = 0.006
+    settle_ticks: int = 15
+    gain: float = 0.3
+    max_correction_m: float = 0.04
+    grip_n: float = 2.0
+    grip_ticks: int = 15
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """All of the above."""
 
+    grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
 
@@ -63,14 +102,24 @@ class StageError(Exception):
         self.outcome = outcome
 
 
+def first_approach(segments: Sequence[Segment]) -> Segment:
+    """Return the segment that leads a hand to the first object: it decides from where to act."""
+    return min((entry for entry in segments if entry.kind == "object"), key=lambda entry: entry.start)
+
+
 def choose_placement(
     world: World, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
 ) -> retarget.Placement:
     """Choose from where to act on the first object that a hand goes to."""
-    first = min((entry for entry in segments if entry.kind == "object"), key=lambda entry: entry.start)
+    first = first_approach(segments)
     assert first.object is not None  # object segments have one
     index = [entry.name for entry in task.objects].index(first.object)
     T_W_Od, T_W_Rd = demonstration.T_world_objects[first.start, index], demonstration.T_world_pelvis[0]
+    others = [
+        (demonstration.T_world_objects[first.start, column], world.pose(entry.name))
+        for column, entry in enumerate(task.objects)
+        if column != index
+    ]
     distance = float(np.linalg.norm(T_W_Od[:2, 3] - T_W_Rd[:2, 3]))
     return retarget.choose_placement(
         task.object(first.object).symmetry,
@@ -79,6 +128,7 @@ def choose_placement(
         T_W_O=world.pose(first.object),
         T_W_R=world.pose("pelvis"),
         clearance_m=0.9 * distance,
+        others=others,
     )
 
 

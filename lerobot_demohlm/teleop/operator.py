@@ -5,7 +5,7 @@ and are not one: they know where everything is and repeat their motion exactly.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -39,11 +39,13 @@ class OperatorPoses:
             controller turns it. None leaves the torso to the hands alone.
         T_world_hands: (2, 4, 4) left and right palm.
         grippers: (2,) 0 open .. 1 closed.
+        velocity: (3,) that the base should walk with [m/s, m/s, rad/s]; it stands by default.
     """
 
     T_world_head: np.ndarray | None
     T_world_hands: np.ndarray
     grippers: np.ndarray
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 class Operator(Protocol):

@@ -72,6 +72,7 @@ def record(
         OffCourseError: The robot did not get to the operator's place.
     """
     sim = Simulation(task)
+    model_hash = provenance.model_hash(sim.model)
     start = start or task.default_state()
     stance = np.array(start["robot"])
     behind = poses.to_planar(poses.planar(*stance) @ poses.planar(-APPROACH, 0.0, 0.0))
@@ -100,6 +101,7 @@ def record(
         )
         last = solution.command.copy()
         last[command.GRIPPERS] = asked.grippers
+        last[command.VELOCITY] = asked.velocity
         last = last.astype(np.float32).astype(np.float64)  # what is recorded is what was applied
         row = measure(sim) | {"action": last.astype(np.float32), "hand_targets": pose_numbers(asked.T_world_hands)}
         result = sim.step(last[None])
@@ -117,7 +119,7 @@ def record(
             "operator": operator.name,
             "stance": start,
             "controller_hash": provenance.controller_hash(),
-            "model_hash": provenance.model_hash(sim.model),
+            "model_hash": model_hash,
             "versions": installed_versions(),
             "processor": platform.machine(),
         },
@@ -147,6 +149,9 @@ def _view(sim: Simulation, tick: int) -> SceneView:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm record``."""
     parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
+    parser.add_argument(
+        "--teleop", choices=("scripted",), default="scripted", help="who operates (default: %(default)s)"
+    )
     parser.add_argument("--root", type=Path, required=True, help="directory to write; must not exist")
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.task import InitialState
 from gym_demohlm.tasks.lift_box import BOX_SIZE
-from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
-from lerobot_demohlm.teleop.path import HandPath, Waypoint
+from lerobot_demohlm.teleop.operator import SceneView
+from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
 START: InitialState = {"robot": [-0.08, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: the knees of a squat just stay clear of the box."""
@@ -26,33 +26,12 @@ LIFTED_HEIGHT = 0.86  # m, the box's centre: 0.57 m above its start, enough for 
 LIFTED_DISTANCE = 0.36  # m, pelvis (before the squat) to the box's centre, ahead
 
 
-class LiftBoxOperator:
-    """The scripted operator."""
-
-    name = "scripted: lift_box"
-
-    def __init__(self) -> None:
-        self._path: HandPath | None = None
-
-    def poses(self, view: SceneView) -> OperatorPoses | None:
-        """Return the poses of this tick, planned at the first one from where things are then."""
-        if self._path is None:
-            self._path = _plan(view)
-        if view.tick >= len(self._path):
-            return None
-        return OperatorPoses(
-            T_world_head=None,  # the script moves hands; how far to bend follows from them
-            T_world_hands=self._path.T_world_hands[view.tick],
-            grippers=self._path.grippers[view.tick],
-        )
-
-
-def make_operator() -> LiftBoxOperator:
+def make_operator() -> PathOperator:
     """Return the operator of this task."""
-    return LiftBoxOperator()
+    return PathOperator("scripted: lift_box", [_plan])
 
 
-def _plan(view: SceneView) -> HandPath:
+def _plan(view: SceneView) -> list[Waypoint]:
     """Plan the way to the box in the box's frame, turned to the robot, and the way up in the robot's."""
     T_world_base = poses.planar(*poses.to_planar(view.T_world_pelvis))
     T_world_box = view.T_world_objects["box"] @ _nearest_face(view.T_world_objects["box"], T_world_base)
@@ -67,7 +46,7 @@ def _plan(view: SceneView) -> HandPath:
     around = hands(T_world_box, -GRIP_NEAR, beside, GRIP_HEIGHT, REACH_TILT)
     gripped = hands(T_world_box, -GRIP_NEAR, grip, GRIP_HEIGHT, REACH_TILT)
     lifted = hands(T_world_base, LIFTED_DISTANCE - GRIP_NEAR, grip, LIFTED_HEIGHT + GRIP_HEIGHT, HOLD_TILT)
-    waypoints = [
+    return [
         Waypoint(T_world_hands=above, duration_s=1.2),
         Waypoint(T_world_hands=around, duration_s=1.3),
         Waypoint(T_world_hands=gripped, duration_s=0.8),
@@ -75,7 +54,6 @@ def _plan(view: SceneView) -> HandPath:
         Waypoint(T_world_hands=lifted, duration_s=2.8),
         Waypoint(T_world_hands=lifted, duration_s=1.6),
     ]
-    return HandPath(view.T_world_hands, waypoints)
 
 
 def _nearest_face(T_world_box: np.ndarray, T_world_base: np.ndarray) -> np.ndarray:

@@ -1,0 +1,59 @@
+"""Handover: push a cube off a small table with the right palm onto the left palm, and take it down.
+
+Source: the paper's "Task Settings" and "Success Conditions". Mended: the "button" there is the cube; "lower than the
+table" means wholly below its upper face. The table is round, so that the robot may stand on any side of it as the
+cube's yaw asks, and moves with the region's y and z offsets.
+"""
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.task import ObjectSpec, Task
+
+if TYPE_CHECKING:
+    from gym_demohlm.worlds import Worlds
+
+CUBE_EDGE, CUBE_MASS = 0.06, 0.2  # m, kg
+TABLE_RADIUS, TABLE_HEIGHT = 0.12, 0.75  # m
+CUBE_POSITION = (0.35, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
+FRICTION = (0.4, 0.005, 0.0005)  # polished wood on anything: sliding, torsional [m], rolling [m]
+IN_HAND = 0.05  # m, left palm to the cube's centre
+DROP = 0.3  # m below its start
+
+
+def _build(spec: mujoco.MjSpec) -> None:
+    add_round_table(spec, CUBE_POSITION[:2], TABLE_RADIUS, TABLE_HEIGHT, up_to_rim=True)
+    add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS)
+    for name in ("cube", "table_top"):
+        spec.geom(name).friction = FRICTION
+    spec.geom("cube").priority = 2  # on rubber too: it slides onto the palm where it would stick and tip over
+
+
+def _handed_over(sim: "Worlds") -> np.ndarray:
+    top = sim.pose("cube")[:, 2, 3] + CUBE_EDGE / 2
+    below = top < sim.pose("table")[:, 2, 3] + TABLE_HEIGHT
+    return below & (sim.distance("left_palm", "cube") < IN_HAND)
+
+
+def _dropped(sim: "Worlds") -> np.ndarray:
+    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
+
+
+TASK = Task(
+    name="Handover",
+    description="Push the cube off the table with the right hand into the left hand.",
+    hands="rubber",
+    build=_build,
+    objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    success=_handed_over,
+    failures={"dropped": _dropped},
+    gaze_target="cube",
+    supports=("table",),
+    obstacles=("table",),
+    contact_pairs=(("left", "cube"), ("right", "cube")),
+    motion_frame="scene",
+    episode_length_s=25.0,
+)

@@ -1,0 +1,53 @@
+"""PressCube: walk to a small cube on a table and press on it with the right hand.
+
+Source: the paper's "Task Settings" and "Success Conditions", whose "button" is the cube. Mended: nearness alone would
+count a hand that hovers, so the hand must also press; the region's y and z offsets move the table with the cube.
+"""
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.task import ObjectSpec, Task
+
+if TYPE_CHECKING:
+    from gym_demohlm.worlds import Worlds
+
+CUBE_EDGE = 0.06  # m
+CUBE_MASS = 0.15  # kg
+TABLE_RADIUS, TABLE_HEIGHT = 0.16, 0.75  # m; round, so that the robot can stand before any side of the cube
+CUBE_POSITION = (0.35, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
+PRESS_DISTANCE = 0.05  # m, right palm to the cube's centre
+PRESS_FORCE = 1.0  # N
+DROP = 0.05  # m below its start
+
+
+def _build(spec: mujoco.MjSpec) -> None:
+    add_round_table(spec, CUBE_POSITION[:2], TABLE_RADIUS, TABLE_HEIGHT)
+    add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS)
+
+
+def _pressed(sim: "Worlds") -> np.ndarray:
+    near = sim.distance("right_palm", "cube") < PRESS_DISTANCE
+    return near & (sim.contact_force("right", "cube") > PRESS_FORCE)
+
+
+def _dropped(sim: "Worlds") -> np.ndarray:
+    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
+
+
+TASK = Task(
+    name="PressCube",
+    description="Walk to the cube and press on it with the right hand.",
+    hands="rubber",
+    build=_build,
+    objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    success=_pressed,
+    failures={"dropped": _dropped},
+    gaze_target="cube",
+    supports=("table",),
+    obstacles=("table",),
+    contact_pairs=(("right", "cube"),),
+)

@@ -1,0 +1,67 @@
+"""PushCube: walk to a cube on a table and push it 0.1 m to the left, onto a green field, with the right hand.
+
+Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, however the robot stands;
+it pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Mended: the cube's pose alone does
+not tell which way the world's y is, so a field on the table, tracked too, shows where the cube should go; the cube must
+still be on the table; the region's y and z offsets move the table with the cube.
+"""
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
+from gym_demohlm.task import ObjectSpec, Task
+
+if TYPE_CHECKING:
+    from gym_demohlm.worlds import Worlds
+
+CUBE_EDGE = 0.07  # m
+CUBE_MASS = 0.6  # kg
+CUBE_FRICTION = 0.5  # on the table; above 0.7 a push above its middle would tip it
+TABLE_RADIUS, TABLE_HEIGHT = 0.22, 0.75  # m; round, so that the robot can stand before any side of the cube
+CUBE_POSITION = (0.35, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
+TABLE_POSITION = (0.35, 0.07)  # under the middle of the cube's way
+PUSHED_DISTANCE = 0.1  # m
+FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
+FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
+DROP = 0.05  # m below its start
+
+
+def _build(spec: mujoco.MjSpec) -> None:
+    table = add_round_table(spec, TABLE_POSITION, TABLE_RADIUS, TABLE_HEIGHT)
+    offset = [FIELD_POSITION[0] - TABLE_POSITION[0], FIELD_POSITION[1] - TABLE_POSITION[1], TABLE_HEIGHT]
+    field = table.add_body(name="field", pos=offset)
+    add_picture(field, "box", FIELD_HALF_SIZE, rgba=(0.35, 0.60, 0.35, 1.0))
+    (cube,) = add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS, rgba=(0.16, 0.42, 0.72, 1.0)).geoms
+    cube.priority = 1  # its friction counts, not the table's; with the palm, which has priority too, the higher one
+    cube.friction[0] = CUBE_FRICTION
+
+
+def _pushed(sim: "Worlds") -> np.ndarray:
+    moved = sim.pose("cube")[:, 1, 3] - sim.start_pose("cube")[:, 1, 3]
+    return (moved > PUSHED_DISTANCE) & ~_dropped(sim)
+
+
+def _dropped(sim: "Worlds") -> np.ndarray:
+    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
+
+
+TASK = Task(
+    name="PushCube",
+    description="Walk to the cube and push it to the left, onto the green field, with the right hand.",
+    hands="rubber",
+    build=_build,
+    objects=(
+        ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),
+        ObjectSpec(name="field", position=FIELD_POSITION, placed=False),
+    ),
+    success=_pushed,
+    failures={"dropped": _dropped},
+    gaze_target="cube",
+    supports=("table",),
+    obstacles=("table",),
+    contact_pairs=(("right", "cube"),),
+    motion_frame="scene",
+)

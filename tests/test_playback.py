@@ -1,0 +1,107 @@
+"""Playback leads hands to where they were in the demonstration, and grippers close only where that leads to a grip."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.control.ik import IKSolution
+from gym_demohlm.robot import g1
+from gym_demohlm.task import get_task
+from lerobot_demohlm import demonstration as demonstrations
+from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.generation.playback import Playback
+from lerobot_demohlm.generation.stages import GripSettings, PlaybackSettings, Settings, StageError
+from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.segmentation import segment
+
+SAG = np.array([0.0, 0.004, -0.015])  # m
+
+
+class FakeWorld:
+    """A robot that stands where the demonstrated one did and whose hands are at their targets, but for a sag."""
+
+    def __init__(self, demonstration: Demonstration, grip_n: float = 0.0) -> None:
+        self.demonstration, self.grip_n = demonstration, grip_n
+        self.names = [entry.name for entry in get_task(demonstration.task).objects]
+        self.asked = demonstration.T_world_hands[0].copy()
+        self.last = command.rest()
+        self.ik = SimpleNamespace(solve=self.solve)
+
+    def solve(self, *, T_world_left: np.ndarray, T_world_right: np.ndarray, **_: object) -> IKSolution:
+        self.asked = np.stack([T_world_left, T_world_right])
+        zero = np.zeros(2)
+        return IKSolution(
+            command=self.last.copy(), position_error=zero, orientation_error=zero, planned_position_error=zero
+        )
+
+    def hands(self) -> np.ndarray:
+        measured = self.asked.copy()
+        measured[:, :3, 3] += SAG
+        return measured
+
+    def pose(self, name: str) -> np.ndarray:
+        if name == "pelvis":
+            return self.demonstration.T_world_pelvis[0]
+        return self.demonstration.T_world_objects[0, self.names.index(name)]
+
+    def command(self) -> np.ndarray:
+        return self.last
+
+    def joint_positions(self) -> np.ndarray:
+        return g1.HOME
+
+    def object_displacement(self, name: str) -> float:
+        return 0.0
+
+    def contact_force(self, hand: str, name: str) -> float:
+        return self.grip_n
+
+
+def playback(world: FakeWorld, settings: Settings) -> Playback:
+    demonstration = world.demonstration
+    task = get_task(demonstration.task)
+    return Playback(cast(World, world), task, demonstration, segment(demonstration), np.eye(4), settings)
+
+
+@pytest.mark.parametrize(("gain", "least", "most"), [(0.0, 0.014, 0.03), (0.1, 0.0, 0.006)])
+def test_hands_are_led_to_where_they_were_beside_the_object(gain: float, least: float, most: float) -> None:
+    """The demonstrated hands trailed their targets by less than these sag: leading makes up for the difference."""
+    demonstration = demonstrations.load(task=get_task("LiftBox"))
+    targets = demonstration.hand_targets.copy()
+    targets[:] = targets[30]  # hands that wait
+    still = dataclasses.replace(demonstration, hand_targets=targets, hand_poses=targets)
+    world = FakeWorld(still)
+    settings = Settings(playback=PlaybackSettings(steering_gain=gain))
+    switch = max(entry.stop for entry in segment(still) if entry.kind == "object")
+    seen = []
+    for _ in playback(world, settings).run():
+        seen.append(np.linalg.norm(world.hands()[:, :3, 3] - still.T_world_hands[0, :, :3, 3], axis=-1).max())
+    transit = len(seen) - len(still) - settings.playback.final_ticks
+    assert least <= seen[transit + switch - 1] <= most
+    assert seen[-1] == pytest.approx(seen[transit + switch], abs=1e-6)  # what was made up for stays
+
+
+@pytest.mark.parametrize("grip_n", [0.0, 10.0])
+def test_a_gripper_waits_until_it_is_there_and_must_press(grip_n: float) -> None:
+    demonstration = demonstrations.load(task=get_task("ExchangeCube"))
+    world = FakeWorld(demonstration, grip_n)
+    settings = Settings(grip=GripSettings(settle_ticks=25))
+    closed = []
+    error = np.inf
+    try:
+        for wanted in playback(world, settings).run():
+            if not any(closed) and wanted[command.GRIPPERS][1] < 0.5:
+                here = world.hands()[1, :3, 3]
+                error = float(np.linalg.norm(demonstration.T_world_hands[:, 1, :3, 3] - here, axis=-1).min())
+            closed.append(wanted[command.GRIPPERS][1] > 0.5)
+            world.last = wanted
+        outcome = "finished"
+    except StageError as failure:
+        outcome = failure.outcome
+    assert outcome == ("finished" if grip_n else "dropped")
+    assert error < 2 * settings.grip.settle_m
+    assert sum(closed) > (0 if not grip_n else 50)

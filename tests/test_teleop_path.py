@@ -1,0 +1,78 @@
+"""Waypoints become smooth hand paths; phases follow one another; a watching operator makes up for arms that sag."""
+
+import numpy as np
+import pytest
+
+from gym_demohlm import poses
+from lerobot_demohlm.teleop.operator import SceneView
+from lerobot_demohlm.teleop.path import MAX_SHIFT_M, HandPath, PathOperator, Waypoint
+
+SAG = np.array([0.0, 0.0, -0.012])  # m
+
+
+def hands(z: float) -> np.ndarray:
+    return np.stack([poses.pose([0.3, 0.2, z]), poses.pose([0.3, -0.2, z])])
+
+
+def view(T_world_hands: np.ndarray) -> SceneView:
+    eye = np.eye(4)
+    return SceneView(tick=0, T_world_head=eye, T_world_pelvis=eye, T_world_hands=T_world_hands, T_world_objects={})
+
+
+def test_a_path_ends_at_its_waypoints_with_each_hand_s_gripper() -> None:
+    path = HandPath(
+        hands(0.5),
+        [
+            Waypoint(T_world_hands=hands(0.8), duration_s=1.0, grippers=(0.0, 1.0)),
+            Waypoint(T_world_hands=hands(0.6), duration_s=0.5, grippers=1.0),
+        ],
+    )
+    assert len(path) == 15
+    np.testing.assert_allclose(path.T_world_hands[[9, 14]], [hands(0.8), hands(0.6)])
+    np.testing.assert_array_equal(path.grippers, [[0.0, 1.0]] * 10 + [[1.0, 1.0]] * 5)
+    steps = np.abs(np.diff(path.T_world_hands[:, 0, 2, 3]))
+    assert steps[:9].max() < 2.0 * 0.3 / 10  # minimum jerk: 1.875 times the mean speed
+    assert steps[10:].max() < 2.0 * 0.2 / 5
+
+
+def test_phases_are_planned_when_they_begin_and_go_on_where_the_last_ended() -> None:
+    seen = []
+
+    def plan(z: float) -> object:
+        def phase(now: SceneView) -> list[Waypoint]:
+            seen.append(float(now.T_world_hands[0, 2, 3]))
+            return [Waypoint(T_world_hands=hands(z), duration_s=0.5)]
+
+        return phase
+
+    operator = PathOperator("two phases", [plan(0.8), plan(0.6)])  # pyright: ignore[reportArgumentType]
+    asked = []
+    measured = hands(0.5)
+    while (now := operator.poses(view(measured))) is not None:
+        asked.append(now.T_world_hands[0, 2, 3])
+        measured = now.T_world_hands + 0.0
+    assert seen == [0.5, pytest.approx(0.8)]
+    assert len(asked) == 10
+    assert asked[4] == pytest.approx(0.8) and asked[9] == pytest.approx(0.6)
+    assert max(np.abs(np.diff(asked))) < 0.2
+
+
+@pytest.mark.parametrize(("watched", "left"), [(True, 0.002), (False, 0.012)])
+def test_a_watching_operator_makes_up_for_sagging_arms(watched: bool, left: float) -> None:
+    still = [Waypoint(T_world_hands=hands(0.7), duration_s=2.5, watched=watched)]
+    operator = PathOperator("holds still", [lambda _: still])
+    measured = hands(0.7)
+    while (now := operator.poses(view(measured))) is not None:
+        measured = now.T_world_hands.copy()
+        measured[:, :3, 3] += SAG
+    np.testing.assert_allclose(measured[:, 2, 3], 0.7, atol=left + 1e-9)
+    assert (measured[:, 2, 3] < 0.7 - 1e-5).all()
+
+
+def test_what_cannot_be_reached_is_not_chased() -> None:
+    still = [Waypoint(T_world_hands=hands(0.7), duration_s=10.0, watched=True)]
+    operator = PathOperator("pushes a wall", [lambda _: still])
+    asked = hands(0.7)
+    while (now := operator.poses(view(hands(0.5)))) is not None:
+        asked = now.T_world_hands
+    np.testing.assert_allclose(asked[:, 2, 3], 0.7 + MAX_SHIFT_M)
