@@ -2,7 +2,7 @@
 
 A task file holds one ``TASK`` value: what it adds to the robot's world, which objects are tracked, when it has
 succeeded. The environment owns the loop. A new task is one new file in ``tasks/``, or, outside this package,
-one call of ``register_task``.
+one call of ``register_task`` (``docs/adding_a_task.md``).
 """
 
 import functools
@@ -269,11 +269,28 @@ def all_tasks() -> dict[str, Task]:
 def get_task(name: str) -> Task:
     """Return a task by its name, "LiftBox" or "LiftBox-v0".
 
+    As in Gymnasium, "my_module:MyTask" imports a module first, which registers the task.
+
     Raises:
         UnknownNameError: No such task; the message names the closest one.
+        SceneError: There is no such module.
     """
+    module, _, bare = name.rpartition(":")
+    if module:
+        _import(module)
     found = all_tasks()
-    bare = name.removeprefix("DemoHLM/").removesuffix("-v0")
+    bare = bare.removeprefix("DemoHLM/").removesuffix("-v0")
     if bare not in found:
-        raise UnknownNameError("task", name, found)
+        raise UnknownNameError("task", bare, found)
     return found[bare]
+
+
+def _import(module: str) -> None:
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise
+        raise SceneError(
+            f"a task in the module {module!r}, which is not found", "a module on Python's path", "set PYTHONPATH"
+        ) from None

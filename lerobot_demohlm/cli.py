@@ -90,10 +90,22 @@ VERBS = (
         example="demohlm report --root data/lift_box --evaluation results.jsonl --output report.html",
     ),
     Verb(
+        name="gallery",
+        module="lerobot_demohlm.gallery",
+        help="draw an episode of each task as film strips and videos from two cameras, on one HTML page",
+        example="demohlm gallery --root outputs/gallery",
+    ),
+    Verb(
         name="results",
         module="lerobot_demohlm.results",
         help="turn the measured results of this repository into the tables of its README",
         example="demohlm results --readme README.md",
+    ),
+    Verb(
+        name="lint-task",
+        module="lerobot_demohlm.lint",
+        help="check what a task calls success and failure, what it lets a policy see, and its physics",
+        example="demohlm lint-task LiftBox",
     ),
     Verb(
         name="benchmark controller",

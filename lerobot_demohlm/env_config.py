@@ -87,10 +87,10 @@ class DemoHLMEnvConfig(EnvConfig):
     def _vector_env(self, task: Task, n_envs: int, use_async_envs: bool) -> gym.vector.VectorEnv:
         identifier = environment_id(task.name)
         if use_async_envs and n_envs > 1:
-            # "module:id" makes a worker import gym_demohlm, and neither torch nor lerobot.
+            # "module:id" makes a worker import what registers the task, and neither torch nor lerobot.
             make = partial(
                 gym.make,
-                f"gym_demohlm:{identifier}",
+                f"{task.build.__module__}:{identifier}",
                 disable_env_checker=self.disable_env_checker,
                 **self.gym_kwargs,
             )

@@ -13,7 +13,7 @@ from gym_demohlm.task import get_task
 from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.replay import replay
-from lerobot_demohlm.teleop.record import record, script_of
+from lerobot_demohlm.teleop.record import record, register_script, script_of
 
 TASK = get_task("LiftBox")
 
@@ -97,7 +97,7 @@ def test_replay_notices_a_changed_command(demonstration: Demonstration) -> None:
 def test_recording_again_gives_the_same_demonstration(demonstration: Demonstration) -> None:
     """The packaged files are what ``demohlm record`` makes of the script, the controller and the model as they are."""
     script = script_of(TASK)
-    assert record(TASK, script.make_operator(), script.START).content_hash == demonstration.content_hash
+    assert record(TASK, script.make_operator(), script.start).content_hash == demonstration.content_hash
 
 
 def test_an_existing_root_is_left_alone(demonstration: Demonstration, tmp_path: Path) -> None:
@@ -182,3 +182,13 @@ def test_invalid_arrays_are_refused(demonstration: Demonstration) -> None:
 def test_a_task_without_a_script_says_which_there_are() -> None:
     with pytest.raises(UnknownNameError, match="lift_box"):
         script_of(dataclasses.replace(TASK, name="LiftBoxes"))
+
+
+def test_a_script_may_come_from_outside() -> None:
+    task = dataclasses.replace(TASK, name="LiftBoxByHand")
+    script = script_of(TASK)
+    register_script(task, script)
+    register_script(task, script)
+    assert script_of(task) is script
+    with pytest.raises(DemonstrationError, match="second script"):
+        register_script(task, dataclasses.replace(script, start=TASK.default_state()))

@@ -1,12 +1,21 @@
 """The examples and the README's code run as they stand."""
 
+import importlib
 import importlib.util
 import re
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import imageio.v3 as iio
+import numpy as np
 import pytest
+from hold import HoldController
+
+from gym_demohlm import poses, task
+from gym_demohlm.control import command
+from gym_demohlm.simulation import Simulation
+from lerobot_demohlm.teleop import record
 
 REPOSITORY = Path(__file__).parent.parent
 
@@ -37,6 +46,43 @@ def test_train_and_evaluate(tmp_path: Path) -> None:
     _load("generate_and_look").main(tmp_path / "data", num_attempts=2)
     _load("train_and_evaluate").main(tmp_path / "data", tmp_path, steps=3, episodes=2)
     assert (tmp_path / "eval" / "eval_info.json").exists()
+
+
+@pytest.fixture
+def stack_cube(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Return the example as a module that worker processes find too; its task is known to this test alone."""
+    monkeypatch.setattr(task, "_registered", task.all_tasks())
+    monkeypatch.setattr(record, "_registered", {})
+    monkeypatch.delitem(sys.modules, "stack_cube", raising=False)
+    monkeypatch.syspath_prepend(REPOSITORY / "examples")
+    return importlib.import_module("stack_cube")
+
+
+def test_stack_cube_is_a_task(stack_cube: ModuleType) -> None:
+    assert task.get_task("stack_cube:StackCube") is stack_cube.TASK
+    assert record.script_of(stack_cube.TASK).start is stack_cube.START
+    sim = Simulation(stack_cube.TASK, controller=HoldController(1))
+    sim.reset([{"robot": [-3.0, 0.0, 0.0], "object": [0.0, 0.0, 0.3]}])  # the robot topples where it is in nobody's way
+    assert not sim.success()[0]
+    T = sim.pose("blue")[0]
+    for sideways, succeeds in ((0.0, True), (0.035, False)):
+        for above, held in ((0.0, succeeds), (0.03, False)):  # m, set down or held up: only what rests is stacked
+            snapshot = sim.snapshot()
+            address = 1 + sim.model.joint("red").qposadr[0]
+            T_blue_red = poses.pose([sideways, 0.0, stack_cube.STACKED + above])
+            snapshot["physics"][0, address : address + 7] = np.concatenate(poses.split(T @ T_blue_red))
+            sim.restore(snapshot)
+            if above == 0.0:
+                sim.step(command.rest()[None])  # measures what presses on what
+            assert sim.success()[0] == held
+    sim.close()
+
+
+@pytest.mark.slow
+def test_stack_cube(stack_cube: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stack_cube.main(tmp_path, num_attempts=2)
+    printed = capsys.readouterr().out
+    assert "R1: 2 of 2 attempts succeeded" in printed and "R3: " in printed
 
 
 def test_readme_code() -> None:

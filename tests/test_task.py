@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import math
+from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -143,6 +144,21 @@ def test_a_task_from_outside_needs_nothing_else() -> None:
     np.testing.assert_allclose(placed, [0.5, dy, 1.0 + dz])
     with pytest.raises(SceneError, match="second task"):
         register_task(dataclasses.replace(task, description="Another one."))
+
+
+def test_a_module_may_bring_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = [
+        "from dataclasses import replace",
+        "from gym_demohlm.task import get_task, register_task",
+        "register_task(replace(get_task('LiftBox'), name='LiftBoxAgain'))",
+    ]
+    (tmp_path / "brought_task.py").write_text("\n".join(lines))
+    with pytest.raises(SceneError, match="brought_task"):
+        get_task("brought_task:LiftBoxAgain")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert get_task("brought_task:LiftBoxAgain") is get_task("LiftBoxAgain-v0")
+    with pytest.raises(UnknownNameError, match="did you mean 'LiftBoxAgain'"):
+        get_task("brought_task:LiftBoxAgai")
 
 
 def _add_motor(spec: mujoco.MjSpec) -> None:

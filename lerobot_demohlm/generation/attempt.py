@@ -4,7 +4,7 @@ Attempts run side by side as worlds of one simulation, in lockstep; a world has 
 """
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,6 +59,7 @@ class Attempts:
         seed: Of the run.
         num_worlds: Most attempts at once.
         settings: Gains, limits and times.
+        on_step: Called with the simulation at the start of attempts and after every step, for pictures.
     """
 
     def __init__(
@@ -69,7 +70,9 @@ class Attempts:
         seed: int,
         num_worlds: int = 1,
         settings: Settings | None = None,
+        on_step: Callable[[Simulation], None] | None = None,
     ) -> None:
+        self._on_step = on_step or (lambda _: None)
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration)
@@ -93,6 +96,7 @@ class Attempts:
         sim = self._sim
         starts = [initial_state(self.task, self.region, self.seed, index) for index in indices]
         sim.reset(starts, np.arange(len(indices)))
+        self._on_step(sim)
         running = [
             _Running(index=index, start=start, world=World(sim=sim, index=world, ik=self._ik))
             for world, (index, start) in enumerate(zip(indices, starts, strict=True))
@@ -117,6 +121,7 @@ class Attempts:
             return
         state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
         result = sim.step(commands, active)
+        self._on_step(sim)
         success, fallen, failures = sim.success(), sim.fallen(), sim.failures()
         for attempt in running:
             world = attempt.world.index

@@ -5,6 +5,7 @@ blocks on disk are the only memory of a run. So a run may be killed at any time,
 """
 
 import argparse
+import importlib
 import json
 import multiprocessing
 import os
@@ -174,7 +175,7 @@ def _pool(
         max_workers=request.num_workers,
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_start_worker,
-        initargs=(run.directory, run.facts, demonstration),
+        initargs=(run.directory, run.facts, demonstration, get_task(run.facts.task).build.__module__),
     )
     try:
         yield pool
@@ -231,9 +232,10 @@ class _Progress:
 _worker: dict[str, Any] = {}
 
 
-def _start_worker(directory: Path, facts: GenerationFacts, demonstration: Demonstration) -> None:
+def _start_worker(directory: Path, facts: GenerationFacts, demonstration: Demonstration, task_module: str) -> None:
     from lerobot_demohlm.generation.attempt import Attempts
 
+    importlib.import_module(task_module)  # registers a task from outside the package here too
     threading.Thread(target=_end_with_parent, daemon=True).start()
     attempts = Attempts(get_task(facts.task), demonstration, facts.region, facts.seed, num_worlds=facts.block_size)
     _worker.update(directory=directory, facts=facts, attempts=attempts)

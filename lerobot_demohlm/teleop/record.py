@@ -5,8 +5,8 @@ import importlib
 import pkgutil
 import platform
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
@@ -37,20 +37,49 @@ SETTLE_TICKS = 10  # it stands still before
 MAX_TICKS = 600
 
 
-def script_of(task: Task) -> ModuleType:
-    """Return the module of a task's scripted operator.
+@dataclass(frozen=True, kw_only=True)
+class Script:
+    """A scripted operator of one task.
+
+    Attributes:
+        start: Where robot and objects are when the operator takes over.
+        make_operator: Returns a new one, which has not moved yet.
+    """
+
+    start: InitialState
+    make_operator: Callable[[], Operator]
+
+
+_registered: dict[str, Script] = {}
+
+
+def register_script(task: Task, script: Script) -> None:
+    """Give a task its scripted operator; those of the tasks in the package are found in ``scripts/``.
+
+    Raises:
+        DemonstrationError: The task has another one.
+    """
+    if _registered.setdefault(task.name, script) != script:
+        raise DemonstrationError(f"a second script of {task.name}", "one script a task", "register one of the two")
+
+
+def script_of(task: Task) -> Script:
+    """Return a task's scripted operator.
 
     Raises:
         UnknownNameError: The task has none.
     """
+    if task.name in _registered:
+        return _registered[task.name]
     name = f"{scripts.__name__}.{provenance.file_name(task)}"
     try:
-        return importlib.import_module(name)
+        module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name != name:
             raise
-        available = [entry.name for entry in pkgutil.iter_modules(scripts.__path__)]
+        available = [*(entry.name for entry in pkgutil.iter_modules(scripts.__path__)), *_registered]
         raise UnknownNameError("scripted operator", provenance.file_name(task), available) from None
+    return Script(start=module.START, make_operator=module.make_operator)
 
 
 def record(
@@ -161,6 +190,6 @@ def main(arguments: argparse.Namespace) -> None:
     if arguments.root.exists():
         raise DemonstrationError(f"the root {arguments.root}, which exists", "a new path", "choose another --root")
     script = script_of(task)
-    demonstration = record(task, script.make_operator(), script.START)
+    demonstration = record(task, script.make_operator(), script.start)
     demonstration.save(arguments.root)
     print(f"{arguments.root}: {len(demonstration)} ticks by {demonstration.metadata['operator']}")
