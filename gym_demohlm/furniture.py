@@ -44,14 +44,14 @@ def add_shape(
     Args:
         body: What it belongs to.
         name: Of the geom.
-        shape: "box", "cylinder", "sphere" or "capsule".
-        half_size: Three half lengths; radius and half height; or radius.
+        shape: "box", "cylinder", "sphere", "capsule" or "ellipsoid".
+        half_size: Three half lengths or radii; radius and half height; or radius [m].
         position: In the body's frame [m].
         rgba: Colour.
         mass: [kg].
     """
-    size = [*half_size, *[0.0] * (3 - len(half_size))]
-    geom = body.add_geom(name=name, type=_SHAPES[shape], size=size, pos=list(position), rgba=list(rgba), mass=mass)
+    geom = add_picture(body, shape, half_size, position, rgba, mass)
+    geom.name = name
     geom.contype, geom.conaffinity, geom.condim = WORLD_BIT, ROBOT_BIT | WORLD_BIT, 4
     geom.friction = [1.0, 0.01, 0.001]
     return geom

@@ -34,7 +34,7 @@ class _Placement:
 
 
 class Scene:
-    """One task's compiled model with its addresses; nothing in it changes after construction.
+    """One task's compiled model with its addresses; nothing in it changes but what a `Memory` draws.
 
     Attributes:
         task: The task.

@@ -93,6 +93,11 @@ REGIONS: Mapping[str, Region] = MappingProxyType(
 DEFAULT_REGION = "R3"
 
 
+def dropped(name: str, depth_m: float) -> Predicate:
+    """Return the predicate "this object lies more than ``depth_m`` [m] below where it started"."""
+    return lambda sim: sim.pose(name)[:, 2, 3] < sim.start_pose(name)[:, 2, 3] - depth_m
+
+
 def limit_yaw(regions: Mapping[str, Region], object_yaw: float) -> dict[str, Region]:
     """Return the regions with the object's yaw limited to +-object_yaw [rad], for things that cannot face away."""
 
@@ -193,6 +198,11 @@ class Task:
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     memory: Memory | None = None
+
+    @property
+    def module(self) -> str:
+        """The module that defines the task, where its ``build`` is: a process that imports it knows the task."""
+        return self.build.__module__
 
     def __post_init__(self) -> None:
         names = [spec.name for spec in self.objects]

@@ -16,7 +16,7 @@ from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.scene import build_scene
 from gym_demohlm.task import Task
 
-FALLEN_HEIGHT = 0.35  # m; the lowest command is 0.45 m
+FALLEN_HEIGHT = 0.35  # m; the lowest command is 0.42 m
 JAW_MARGIN = 0.002  # m: jaws this near to closed hold nothing
 FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS.value  # what a row of physics holds: time, qpos, qvel
@@ -152,10 +152,7 @@ class Worlds:
         Raises:
             UnknownNameError: The task measures no such pair.
         """
-        pairs = self.task.contact_pairs
-        if (side, name) not in pairs:
-            raise UnknownNameError("contact pair", f"{side}, {name}", [f"{a}, {b}" for a, b in pairs])
-        return self._forces[:, pairs.index((side, name))].copy()
+        return self._force("contact pair", self.task.contact_pairs, (side, name), 0)
 
     def pair_force(self, first: str, second: str) -> np.ndarray:
         """Return the normal force (N,) between two bodies of ``task.force_pairs``, mean over the last tick [N].
@@ -163,10 +160,13 @@ class Worlds:
         Raises:
             UnknownNameError: The task measures no such pair.
         """
-        pairs = self.task.force_pairs
-        if (first, second) not in pairs:
-            raise UnknownNameError("force pair", f"{first}, {second}", [f"{a}, {b}" for a, b in pairs])
-        return self._forces[:, len(self.task.contact_pairs) + pairs.index((first, second))].copy()
+        return self._force("force pair", self.task.force_pairs, (first, second), len(self.task.contact_pairs))
+
+    def _force(self, kind: str, pairs: tuple[tuple[str, str], ...], pair: tuple[str, str], column: int) -> np.ndarray:
+        """Return the force (N,) of one of the pairs whose forces begin at a column [N]."""
+        if pair not in pairs:
+            raise UnknownNameError(kind, ", ".join(pair), [", ".join(known) for known in pairs])
+        return self._forces[:, column + pairs.index(pair)].copy()
 
     def holds(self, side: str, name: str, force_n: float = 2.0) -> np.ndarray:
         """Return whether a gripper (N,) is told to close, presses on an object and is kept from closing by it.

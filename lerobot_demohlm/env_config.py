@@ -90,7 +90,7 @@ class DemoHLMEnvConfig(EnvConfig):
             # "module:id" makes a worker import what registers the task, and neither torch nor lerobot.
             make = partial(
                 gym.make,
-                f"{task.build.__module__}:{identifier}",
+                f"{task.module}:{identifier}",
                 disable_env_checker=self.disable_env_checker,
                 **self.gym_kwargs,
             )

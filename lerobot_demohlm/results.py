@@ -102,9 +102,17 @@ def _generation(lines: list[Line]) -> str:
         paper = PAPER_GENERATION.get((line["task"], line["region"]))
         rate = _percent(line["successes"], line["attempts"])
         rows.append(
-            [line["task"], line["region"], str(line["attempts"]), rate, f"{paper}" if paper else "-", failed or "none"]
+            [
+                line["task"],
+                line["region"],
+                str(line["attempts"]),
+                rate,
+                f"{paper}" if paper else "-",
+                failed or "none",
+                line["commit"],
+            ]
         )
-    header = ["task", "region", "attempts", "success % (95 % interval)", "paper %", "failures"]
+    header = ["task", "region", "attempts", "success % (95 % interval)", "paper %", "failures", "commit"]
     return "**Generation**, every attempt counted\n\n" + _table(header, rows)
 
 
@@ -114,8 +122,10 @@ def _policies(lines: list[Line]) -> str:
         paper = PAPER_POLICY.get((line["task"], line["policy"]), "-")
         rate = _percent(line["successes"], line["episodes"])
         size = f"{line['num_train_episodes']} episodes"
-        rows.append([line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper])
-    header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %"]
+        rows.append(
+            [line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, line["commit"]]
+        )
+    header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %", "commit"]
     title = "**Policies**, last checkpoint, starts never used in generation, success held for 1 s"
     return f"{title}\n\n" + _table(header, rows)
 

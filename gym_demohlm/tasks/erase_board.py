@@ -15,7 +15,7 @@ from gym_demohlm import poses
 from gym_demohlm.furniture import DARK_WOOD, STEEL, WOOD, add_picture, add_shape
 from gym_demohlm.lettering import write
 from gym_demohlm.scene import aim_overview
-from gym_demohlm.task import REGIONS, Memory, ObjectSpec, Task, limit_yaw
+from gym_demohlm.task import REGIONS, Memory, ObjectSpec, Task, dropped, limit_yaw
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -85,10 +85,6 @@ def _erased(sim: "Worlds") -> np.ndarray:
     return moved & sim.holds("right", "eraser") & (sim.memory.mean(axis=1) >= WIPED_SHARE)
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("eraser")[:, 2, 3] < sim.start_pose("eraser")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="EraseBoard",
     description="Walk to the board, take the eraser with the right gripper and wipe the writing off to the left.",
@@ -99,7 +95,7 @@ TASK = Task(
         ObjectSpec(name="board", position=BOARD_POSITION),
     ),
     success=_erased,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("eraser", DROP)},
     gaze_target="eraser",
     obstacles=("board",),
     contact_pairs=(("right", "eraser"),),

@@ -12,7 +12,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -36,10 +36,6 @@ def _exchanged(sim: "Worlds") -> np.ndarray:
     return to_the_left & sim.holds("left", "cube") & ~sim.holds("right", "cube")
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="ExchangeCube",
     description="Pick up the cube with the right gripper and pass it to the left gripper.",
@@ -47,7 +43,7 @@ TASK = Task(
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
     success=_exchanged,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),

@@ -12,7 +12,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -38,10 +38,6 @@ def _held_close(sim: "Worlds") -> np.ndarray:
     return sim.holds("right", "cube") & lifted & (poses.transform(T_base_world, p_world_cube)[:, 0] < NEAR)
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="GraspCube",
     description="Walk to the cube, grasp it with the right gripper and lift it off the table.",
@@ -49,7 +45,7 @@ TASK = Task(
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
     success=_held_close,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),

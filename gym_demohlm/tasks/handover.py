@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -38,10 +38,6 @@ def _handed_over(sim: "Worlds") -> np.ndarray:
     return below & (sim.distance("left_palm", "cube") < IN_HAND)
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="Handover",
     description="Push the cube off the table with the right hand into the left hand.",
@@ -49,7 +45,7 @@ TASK = Task(
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
     success=_handed_over,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -56,10 +56,6 @@ def _lifted(sim: "Worlds") -> np.ndarray:
     return near & (sim.pose("box")[:, 2, 3] > LIFTED_HEIGHT)
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("box")[:, 2, 3] < sim.start_pose("box")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="LiftBox",
     description="Walk to the box and lift it with both hands.",
@@ -67,7 +63,7 @@ TASK = Task(
     build=_build,
     objects=(ObjectSpec(name="box", position=BOX_POSITION, symmetry=(0.0, math.pi / 2, math.pi, -math.pi / 2)),),
     success=_lifted,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("box", DROP)},
     gaze_target="box",
     supports=("stand",),
     obstacles=("stand",),

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -34,10 +34,6 @@ def _pressed(sim: "Worlds") -> np.ndarray:
     return near & (sim.contact_force("right", "cube") > PRESS_FORCE)
 
 
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
-
-
 TASK = Task(
     name="PressCube",
     description="Walk to the cube and press on it with the right hand.",
@@ -45,7 +41,7 @@ TASK = Task(
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
     success=_pressed,
-    failures={"dropped": _dropped},
+    failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),

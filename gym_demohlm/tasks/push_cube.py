@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -26,7 +26,7 @@ TABLE_POSITION = (0.35, 0.07)  # under the middle of the cube's way
 PUSHED_DISTANCE = 0.1  # m
 FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
 FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
-DROP = 0.05  # m below its start
+DROPPED = dropped("cube", 0.05)
 
 
 def _build(spec: mujoco.MjSpec) -> None:
@@ -41,11 +41,7 @@ def _build(spec: mujoco.MjSpec) -> None:
 
 def _pushed(sim: "Worlds") -> np.ndarray:
     moved = sim.pose("cube")[:, 1, 3] - sim.start_pose("cube")[:, 1, 3]
-    return (moved > PUSHED_DISTANCE) & ~_dropped(sim)
-
-
-def _dropped(sim: "Worlds") -> np.ndarray:
-    return sim.pose("cube")[:, 2, 3] < sim.start_pose("cube")[:, 2, 3] - DROP
+    return (moved > PUSHED_DISTANCE) & ~DROPPED(sim)
 
 
 TASK = Task(
@@ -58,7 +54,7 @@ TASK = Task(
         ObjectSpec(name="field", position=FIELD_POSITION, placed=False),
     ),
     success=_pushed,
-    failures={"dropped": _dropped},
+    failures={"dropped": DROPPED},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),

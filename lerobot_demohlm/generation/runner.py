@@ -175,7 +175,7 @@ def _pool(
         max_workers=request.num_workers,
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_start_worker,
-        initargs=(run.directory, run.facts, demonstration, get_task(run.facts.task).build.__module__),
+        initargs=(run.directory, run.facts, demonstration, get_task(run.facts.task).module),
     )
     try:
         yield pool
