@@ -19,6 +19,8 @@ WOOD, DARK_WOOD, STEEL, CARDBOARD = (
     (0.78, 0.57, 0.33, 1.0),
 )
 TOP_THICKNESS = 0.03
+SOFTNESS = (0.005, 1.0)
+"""A contact's time constant [s] and damping ratio: wood and steel that meet at 2 m/s give way by less than 5 mm."""
 _LEG_RADIUS = 0.025
 _FOOT_HEIGHT = 0.3
 _SHAPES = {
@@ -50,10 +52,14 @@ def add_shape(
         rgba: Colour.
         mass: [kg].
     """
-    geom = add_picture(body, shape, half_size, position, rgba, mass)
+    return _make_touching(add_picture(body, shape, half_size, position, rgba, mass), name)
+
+
+def _make_touching(geom: mujoco.MjsGeom, name: str) -> mujoco.MjsGeom:
     geom.name = name
     geom.contype, geom.conaffinity, geom.condim = WORLD_BIT, ROBOT_BIT | WORLD_BIT, 4
     geom.friction = [1.0, 0.01, 0.001]
+    geom.solref, geom.solmix = SOFTNESS, 1e3  # the softness of such a thing counts, not that of robot or floor
     return geom
 
 
@@ -177,6 +183,8 @@ def add_vessel(
 ) -> mujoco.MjsBody:
     """Add a loose, open, round vessel: hands and table meet a full cylinder, drops eight walls and a bottom inside it.
 
+    None of these is seen. What is seen is drawn over them: finer walls, or glass as one piece with its rim.
+
     Args:
         spec: The scene.
         name: Of the body, its free joint and its outer geom.
@@ -191,15 +199,29 @@ def add_vessel(
     body.add_freejoint(name=name)
     outside = add_shape(body, name, "cylinder", [radius, height / 2], mass=mass, rgba=(0, 0, 0, 0))
     outside.contype, outside.conaffinity = WORLD_BIT, ROBOT_BIT
-    bottom = add_shape(body, f"{name}_bottom", "cylinder", [radius, wall / 2], [0, 0, (wall - height) / 2], rgba)
-    bottom.contype, bottom.conaffinity = 0, LIQUID_BIT
-    for index in range(8):
-        angle, reach = math.pi / 4 * index, radius - wall / 2
-        middle = [reach * math.cos(angle), reach * math.sin(angle), 0.0]
-        size = [wall / 2, reach * math.tan(math.pi / 8) + wall / 8, height / 2]
-        side = add_shape(body, f"{name}_wall_{index}", "box", size, middle, rgba)
-        side.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-        side.contype, side.conaffinity = 0, LIQUID_BIT
+    bottom = add_picture(body, "cylinder", [radius, wall / 2], [0, 0, (wall - height) / 2], (0, 0, 0, 0))
+    for index, part in enumerate([bottom, *_add_ring(body, radius, wall, 8, (-height / 2, height / 2), (0, 0, 0, 0))]):
+        _make_touching(part, f"{name}_inside_{index}")
+        part.contype, part.conaffinity = 0, LIQUID_BIT
     if rgba[3] < 1.0:
-        add_picture(body, "cylinder", [1.03 * radius, 0.006], [0, 0, height / 2 - 0.006], (0.2, 0.35, 0.7, 0.5))
+        add_picture(body, "cylinder", [radius, height / 2], rgba=rgba)
+        _add_ring(body, 1.01 * radius, wall, 24, (height / 2 - 0.006, height / 2), (*rgba[:3], 0.5 + rgba[3] / 2))
+    else:
+        add_picture(body, "cylinder", [0.99 * radius, wall / 2], [0, 0, (wall - height) / 2], rgba)
+        _add_ring(body, radius, wall, 24, (-height / 2, height / 2), rgba)
     return body
+
+
+def _add_ring(
+    body: mujoco.MjsBody, radius: float, wall: float, count: int, heights: tuple[float, float], rgba: Rgba
+) -> list[mujoco.MjsGeom]:
+    """Add a round wall of boxes about the vertical, only seen; their outer corners meet."""
+    sides = []
+    for index in range(count):
+        angle, reach = 2 * math.pi / count * index, radius - wall / 2
+        middle = [reach * math.cos(angle), reach * math.sin(angle), (heights[0] + heights[1]) / 2]
+        half_size = [wall / 2, radius * math.tan(math.pi / count), (heights[1] - heights[0]) / 2]
+        side = add_picture(body, "box", half_size, middle, rgba)
+        side.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+        sides.append(side)
+    return sides

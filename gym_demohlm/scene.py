@@ -1,5 +1,6 @@
 """Task and robot -> one compiled MuJoCo model, with the addresses of its joints, objects and sensors found by name."""
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from gym_demohlm.robot import g1, neck
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
 from gym_demohlm.task import InitialState, ObjectSpec, Task
 
-OVERVIEW_CAMERA = "overview"
+OVERVIEW_CAMERA, OVERVIEW_FOVY = "overview", 45.0  # degrees
 HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
 """The body whose subtree is a hand, palm or gripper with it."""
 
@@ -39,6 +40,9 @@ class Scene:
     Attributes:
         task: The task.
         model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
+        physics: The same without what is only seen, for stepping: it gives the same bits, sooner. (MuJoCo clears a byte
+            for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.)
+        untouched: The same without the no-slip pass, for worlds in which no hand touches an object.
         base_qpos: Address of the pelvis pose in qpos (7 numbers: position, quaternion wxyz).
         base_qvel: Address of the pelvis velocity in qvel (6 numbers: linear in the world, angular in the pelvis frame).
         body_qpos, body_qvel: (29,) addresses of the body joints in g1.BODY_JOINTS order.
@@ -52,12 +56,16 @@ class Scene:
     def __init__(self, task: Task) -> None:
         self.task = task
         spec = _build_spec(task)
+        bare = spec.copy()
+        bare.compiler.discardvisual = True
         try:
-            self.model = spec.compile()
+            self.model, self.physics = spec.compile(), bare.compile()
         except ValueError as error:
             raise SceneError(
                 f"a scene of {task.name} that does not compile ({error})", "a valid MjSpec", "mend its build function"
             ) from error
+        self.untouched = copy.copy(self.physics)
+        self.untouched.opt.noslip_iterations = 0
         model = self.model
         base = model.joint("floating_base_joint")
         self.base_qpos, self.base_qvel = int(base.qposadr[0]), int(base.dofadr[0])
@@ -213,9 +221,25 @@ def build_scene(task: Task) -> Scene:
     return Scene(task)
 
 
-def aim_overview(spec: mujoco.MjSpec, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
-    """Put the overview camera at `eye`, looking at `target` [m, world]; for a task whose furniture hides the robot."""
+def aim_overview(
+    spec: mujoco.MjSpec,
+    eye: tuple[float, float, float],
+    target: tuple[float, float, float],
+    body: mujoco.MjsBody | None = None,
+) -> None:
+    """Put the overview camera at `eye`, looking at `target` [m].
+
+    Args:
+        spec: The scene.
+        eye: In the body's frame, as is the target.
+        target: What is in the middle of the picture.
+        body: What the camera is fixed to, such as furniture that should be seen from one side however it is turned; the
+            world by default.
+    """
     camera = spec.camera(OVERVIEW_CAMERA)
+    if body is not None:
+        spec.delete(camera)
+        camera = body.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
     camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
 
 
@@ -239,7 +263,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     visual.global_.offwidth, visual.global_.offheight = 640, 480
     visual.quality.offsamples = 0  # multisampling costs most of a frame in software
     visual.headlight.ambient, visual.headlight.diffuse = [0.35, 0.35, 0.35], [0.45, 0.45, 0.45]
-    visual.map.znear, visual.quality.shadowsize = 0.01, 4096
+    visual.map.znear, visual.quality.shadowsize, visual.map.shadowscale = 0.01, 4096, 0.4
     spec.stat.center, spec.stat.extent = [-0.2, 0.0, 0.5], 2.5  # m: what shadows and clipping planes are fitted to
     builtin = mujoco.mjtBuiltin
     spec.add_texture(
@@ -284,7 +308,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         diffuse=[0.5, 0.5, 0.5],
         castshadow=True,
     )
-    world.add_camera(name=OVERVIEW_CAMERA, fovy=45)
+    world.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
     aim_overview(spec, (1.55, -1.95, 1.35), (-0.3, 0.1, 0.55))
 
 

@@ -26,6 +26,8 @@ TICKS = 5  # controller ticks a step
 STEP_DT = CONTROL_DT * TICKS  # s, one step of environment and policy
 SUBSTEPS = round(CONTROL_DT / g1.PHYSICS_DT)  # physics steps a tick
 
+MAX_ARM_SPEED = 5.0  # rad/s of the arms' targets: above what inverse kinematics asks for, below what motors can do
+GAZE_STEPS = 25  # after which the neck has turned from straight ahead to anywhere
 MAX_SPEED = 500.0  # largest |qvel| [m/s, rad/s] of a simulation that still means something
 
 _CONTROL_SPEC = (
@@ -101,7 +103,7 @@ class Simulation(Worlds):
         self._gaze = GazeController()
         threads = min(num_threads, num_worlds)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self._data = [mujoco.MjData(self.scene.physics) for _ in range(threads)]
         # Inputs and outputs of the rollouts, made once; the first rows are used where fewer worlds take part.
         self._control = np.zeros((num_worlds, SUBSTEPS, model.nu + 7 * model.nmocap))
         self._states = np.zeros((num_worlds, SUBSTEPS, self._physics.shape[1]))
@@ -129,6 +131,10 @@ class Simulation(Worlds):
         self._command[rows] = command.rest()
         for array in (self._neck, self._forces, self._collisions, self._unstable, self._memory):
             array[rows] = 0
+        for _ in range(GAZE_STEPS):  # it looks where it should from the first image on
+            self._stale[rows] = True
+            self._neck[rows] = self._next_neck()[rows]
+            self._qpos[rows[:, None], self.scene.neck_qpos] = self._neck[rows]
         self._stale[rows] = True
         self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
         self._controller.reset(rows, *self._proprioception(rows))
@@ -136,7 +142,8 @@ class Simulation(Worlds):
     def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
         """Apply one command a world for 0.1 s.
 
-        Velocities and torso are held; arm targets go linearly from the last command's to this one's. A world whose
+        Velocities and torso are held; arm targets go linearly from the last command's to this one's, as far as
+        ``MAX_ARM_SPEED`` takes them: a policy, or chance, cannot make the hands strike. A world whose
         physics breaks down keeps its last good state, is reported, and stays out until its next reset.
 
         Args:
@@ -152,6 +159,8 @@ class Simulation(Worlds):
             commands = np.where(stepped[:, None], commands, self._command)
         valid, num_clipped = command.clip(command.validate(commands, num_worlds))
         num_clipped = np.where(stepped, num_clipped, 0)
+        way, before = MAX_ARM_SPEED * STEP_DT, self._command[:, command.ARMS]
+        valid[:, command.ARMS] = np.clip(valid[:, command.ARMS], before - way, before + way)
         forces = np.zeros((num_worlds, TICKS, self._forces.shape[1]))
         collisions = np.zeros((num_worlds, TICKS))
         rows = np.flatnonzero(stepped)
@@ -228,7 +237,7 @@ class Simulation(Worlds):
         control[:] = np.concatenate([targets, self._neck[chosen], grippers, self._mocap[chosen]], axis=1)[:, None]
         states = self._states[:count]
         self._pool.rollout(
-            [self.model] * count,
+            [self.scene.physics if touching else self.scene.untouched for touching in self._touching(rows)],
             self._data,
             before,
             control,
@@ -249,6 +258,10 @@ class Simulation(Worlds):
         self._physics[rows[sound]] = after[sound]
         self._sensors[: tick + 1, : np.count_nonzero(sound)] = self._sensors[: tick + 1, :count][:, sound]
         return rows[sound]
+
+    def _touching(self, rows: np.ndarray) -> np.ndarray:
+        """Return whether a hand touched one of its objects at the end of the last step, for each of some worlds."""
+        return np.any(self._forces[rows, : len(self.task.contact_pairs)] > 0.0, axis=1)
 
     def _measure(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces of measured pairs (n, 5, pairs) and collision forces (n, 5) of the step's sensors [N]."""

@@ -66,6 +66,18 @@ VERBS = (
         example="demohlm generate --task LiftBox --region R3 --num-episodes 100 --num-workers 2 --root data/lift_box",
     ),
     Verb(
+        name="verify",
+        module="lerobot_demohlm.verify",
+        help="simulate episodes of a dataset again and compare them with it, bit for bit",
+        example="demohlm verify --root data/lift_box --sample 20",
+    ),
+    Verb(
+        name="explain",
+        module="lerobot_demohlm.explain",
+        help="write an HTML page that explains a generation run, or one of its attempts",
+        example="demohlm explain --root data/lift_box --attempt 3 --output attempt_3.html",
+    ),
+    Verb(
         name="push",
         module="lerobot_demohlm.push",
         help="upload a dataset to the Hugging Face hub",
@@ -74,8 +86,8 @@ VERBS = (
     Verb(
         name="train",
         module="lerobot_demohlm.training",
-        help="train the chunked MLP on a dataset, with LeRobot's training and the data held in memory",
-        example="demohlm train --root data/lift_box --output outputs/lift_box",
+        help="train a policy on a dataset by a preset, with LeRobot's training and the data held in memory",
+        example="demohlm train --root data/lift_box --policy act --preset cpu --output outputs/lift_box",
     ),
     Verb(
         name="evaluate",
@@ -84,9 +96,15 @@ VERBS = (
         example="demohlm evaluate --policy outputs/lift_box/pretrained_model --task LiftBox --region R2",
     ),
     Verb(
+        name="reproduce",
+        module="lerobot_demohlm.experiments.reproduce",
+        help="run what is missing of one of the paper's tables: generate, train, roll out",
+        example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
+    ),
+    Verb(
         name="report",
         module="lerobot_demohlm.report",
-        help="write one HTML page about a dataset and the rollouts of a policy",
+        help="write one HTML page about a dataset and the rollouts of a policy, or about the experiments",
         example="demohlm report --root data/lift_box --evaluation results.jsonl --output report.html",
     ),
     Verb(
@@ -114,6 +132,42 @@ VERBS = (
         example="demohlm benchmark controller",
     ),
     Verb(
+        name="benchmark simulation",
+        module="lerobot_demohlm.benchmark_simulation",
+        help="measure how many physics steps a second the simulation makes, and MuJoCo's step alone",
+        example="demohlm benchmark simulation --task LiftBox",
+    ),
+    Verb(
+        name="benchmark generation",
+        module="lerobot_demohlm.benchmark_generation",
+        help="measure the CPU time of attempts, where it goes, and the episodes an hour and core",
+        example="demohlm benchmark generation --task LiftBox --region R2 --num-attempts 16",
+    ),
+    Verb(
+        name="benchmark dataset",
+        module="lerobot_demohlm.benchmark_dataset",
+        help="measure how many episodes a second are written, by LeRobot's writer too, and the memory of a long run",
+        example="demohlm benchmark dataset",
+    ),
+    Verb(
+        name="benchmark loading",
+        module="lerobot_demohlm.benchmark_loading",
+        help="measure how many samples a second LeRobot's loader gives, and ours from memory",
+        example="demohlm benchmark loading --chunk 20 --batch-size 512",
+    ),
+    Verb(
+        name="benchmark evaluation",
+        module="lerobot_demohlm.benchmark_evaluation",
+        help="measure how many rollouts an hour lerobot-eval makes, and demohlm evaluate",
+        example="demohlm benchmark evaluation --task LiftBox",
+    ),
+    Verb(
+        name="benchmark",
+        module="lerobot_demohlm.benchmark",
+        help="run the benchmarks of simulation, generation and dataset and sum them up",
+        example="demohlm benchmark --task LiftBox",
+    ),
+    Verb(
         name="train-controller",
         module="gym_demohlm.wbc.train",
         help="train the whole-body controller by reinforcement learning",
@@ -134,8 +188,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DemoHLMError as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"interrupted{f': {stop}' if str(stop) else ''}", file=sys.stderr)
         return INTERRUPTED
 
 

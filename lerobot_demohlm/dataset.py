@@ -1,7 +1,7 @@
 """An attempt at a task as arrays -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
-What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py``, which imports
-lerobot only where it writes or merges, through ``dataset_files.py``):
+What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py`` and
+``generation_block.py``, which import lerobot only where they write or merge, through ``dataset_files.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
@@ -17,11 +17,14 @@ lerobot only where it writes or merges, through ``dataset_files.py``):
 
 Only successful episodes are frames of the dataset; every attempt, failed ones included, is a line of
 ``meta/demohlm_attempts.jsonl``. With ``facts.keep_failures`` failed attempts that have frames become a second dataset,
-``<root>-failures``.
+``<root>-failures``. The rows of ``meta/episodes`` say of each episode which attempt it was, how and in which stage it
+ended (``Episode.labels``), so LeRobot reads and filters them:
+``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``.
 """
 
 import importlib.metadata
 import json
+import platform
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -33,6 +36,9 @@ import numpy as np
 from gym_demohlm import observation
 from gym_demohlm.control import command
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.simulation import STEP_DT
+from lerobot_demohlm import provenance
+from lerobot_demohlm.fingerprint import FIELDS
 
 FPS = 10
 ROBOT_TYPE = "unitree_g1"
@@ -40,6 +46,17 @@ FORMAT_VERSION = 1  # of meta/demohlm.json and meta/demohlm_attempts.jsonl
 OUTCOMES = ("success", "ik_failed", "fell", "dropped", "collided", "timeout", "off_course")
 FACTS_PATH = Path("meta/demohlm.json")
 ATTEMPTS_PATH = Path("meta/demohlm_attempts.jsonl")
+_FACT_TYPES = {
+    **dict.fromkeys(("task", "task_text", "region", "demonstration_hash", "controller_hash", "model_hash"), str),
+    **dict.fromkeys(("seed", "block_size", "attempts", "successes"), int),
+    **dict.fromkeys(("versions", "outcomes"), dict),
+    "success_rate": float,
+}
+_RECORD_TYPES = {
+    **dict.fromkeys(("stage", "reason", "digest"), str),
+    **dict.fromkeys(("stage_s", "initial_state"), dict),
+    "length_s": float | int,
+}
 _RECORDED_PACKAGES = ("lerobot_env_demohlm", "lerobot", "mujoco", "numpy", "placo", "torch")
 
 
@@ -73,6 +90,16 @@ class Episode:
     """What the reset drew, by name: robot and object poses [m, rad]."""
     length_s: float
     """Simulated time until the attempt ended [s]."""
+    reason: str = ""
+    """What ended it, in words; empty for a success."""
+    stage_ticks: dict[str, int] = field(default_factory=dict)
+    """Frames by stage, in the order of time."""
+    fingerprints: np.ndarray = field(default_factory=lambda: np.zeros((0, len(FIELDS)), dtype="<u4"))
+    """(T + 1, 4) uint32, of the whole simulation at the start and after each action; (0, 4) where unknown."""
+    digest: str = ""
+    """SHA-256 of the same, in hexadecimal."""
+    retries: int = 0
+    """How often it began again after a stage that failed."""
 
     def __post_init__(self) -> None:
         """Check shapes, types and values, so that nothing invalid travels."""
@@ -94,6 +121,10 @@ class Episode:
                 raise DatasetError(f"NaN or infinity in {name}", "finite numbers", "discard this attempt")
         if self.success.dtype != np.bool_ or self.success.ndim != 1:
             raise DatasetError(f"success {self.success.dtype} {self.success.shape}", "bool (T,)", "convert it")
+        if len(self.fingerprints) not in (0, len(self.success) + 1):
+            raise DatasetError(
+                f"{len(self.fingerprints)} fingerprints", f"{len(self.success) + 1}", "give one a state, or none"
+            )
         if self.outcome == "success" and len(self.success) == 0:
             raise DatasetError("a successful episode without frames", "one frame or more", "record its steps")
 
@@ -103,15 +134,29 @@ class Episode:
             "attempt": self.index,
             "outcome": self.outcome,
             "stage": self.stage,
+            "reason": self.reason,
             "length_s": round(float(self.length_s), 3),
+            "stage_s": {stage: round(ticks * STEP_DT, 3) for stage, ticks in self.stage_ticks.items()},
             "frames": len(self.success),
             "initial_state": {name: [float(v) for v in values] for name, values in self.initial_state.items()},
+            "digest": self.digest,
+            "retries": self.retries,
+        }
+
+    def labels(self) -> dict[str, Any]:
+        """Return what the episode's row of ``meta/episodes`` says beside what LeRobot writes there."""
+        return {
+            "attempt": self.index,
+            "outcome": self.outcome,
+            "stage": self.stage,
+            "fingerprints": self.fingerprints.tobytes(),
         }
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of the packages whose code decides what an episode is."""
-    return {name: importlib.metadata.version(name) for name in _RECORDED_PACKAGES}
+    """Return the versions of what decides, bit for bit, what an episode is: packages, Python, family of processors."""
+    versions = {name: importlib.metadata.version(name) for name in _RECORDED_PACKAGES}
+    return versions | {"python": platform.python_version(), "cpu": provenance.cpu_family()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +177,8 @@ class GenerationFacts:
     block_size: int = 8
     """Attempts a block: what one worker computes and finalizes at once."""
     keep_failures: bool = False
+    retries: int = 0
+    """How often an attempt may begin again after a stage that failed (``generation.stages.Settings``)."""
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
@@ -158,15 +205,21 @@ def count_outcomes(records: Iterable[dict[str, Any]]) -> dict[str, int]:
     return {outcome: counts[outcome] for outcome in OUTCOMES}
 
 
-def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
+def count_attempts(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return what ``meta/demohlm.json`` says of attempts, one or more: how many, and how they ended."""
     outcomes = count_outcomes(records)
-    content = asdict(facts) | {
+    return {
         "attempts": len(records),
         "successes": outcomes["success"],
         "success_rate": outcomes["success"] / len(records),
         "outcomes": outcomes,
+        "first_try_successes": count_outcomes(record for record in records if not record.get("retries"))["success"],
     }
+
+
+def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
+    content = asdict(facts) | {"code_hash": provenance.code_hash()} | count_attempts(records)
     (root / FACTS_PATH).write_text(json.dumps(content, indent=2) + "\n")
     (root / ATTEMPTS_PATH).write_text("".join(json.dumps(record) + "\n" for record in records))
     return content
@@ -183,7 +236,7 @@ def read_facts(root: Path) -> dict[str, Any]:
         raise DatasetError(f"{root} without {FACTS_PATH}", "a dataset that `demohlm generate` wrote", "check --root")
     try:
         content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path}, damaged ({error})", "a JSON object", "generate the dataset again") from error
     version = content.get("format_version") if isinstance(content, dict) else None
     if version != FORMAT_VERSION:
@@ -192,9 +245,45 @@ def read_facts(root: Path) -> dict[str, Any]:
             f"format version {FORMAT_VERSION}",
             "generate the dataset again, or install the version of lerobot_env_demohlm that wrote it",
         )
+    wrong = [name for name, kind in _FACT_TYPES.items() if not isinstance(content.get(name), kind)]
+    if wrong:
+        raise DatasetError(f"{path}, damaged ({', '.join(wrong)})", "the facts of a run", "generate the dataset again")
     return content
 
 
 def read_attempts(root: Path) -> list[dict[str, Any]]:
-    """Return the lines of a dataset's ``meta/demohlm_attempts.jsonl``: every attempt, failed ones included."""
-    return [json.loads(line) for line in (Path(root) / ATTEMPTS_PATH).read_text().splitlines()]
+    """Return the lines of a dataset's ``meta/demohlm_attempts.jsonl``: every attempt, failed ones included.
+
+    Raises:
+        DatasetError: There is no such file, it is damaged, or a version wrote it that kept less of an attempt.
+    """
+    path = Path(root) / ATTEMPTS_PATH
+    records = read_records(path)
+    wrong = {
+        name for record in records for name, kind in _RECORD_TYPES.items() if not isinstance(record.get(name), kind)
+    }
+    if wrong:
+        raise DatasetError(
+            f"{path} without {', '.join(sorted(wrong))}", "attempts as this version keeps them", "generate them again"
+        )
+    return records
+
+
+def read_records(path: Path) -> list[dict[str, Any]]:
+    """Return what ``Episode.record`` gave, one a line.
+
+    Raises:
+        DatasetError: There is no such file, or it is damaged.
+    """
+    try:
+        records = [json.loads(line) for line in path.read_text().splitlines()]
+        sound = all(isinstance(record, dict) for record in records) and all(
+            record["outcome"] in OUTCOMES
+            and all(type(record[key]) is int and record[key] >= 0 for key in ("attempt", "frames"))
+            for record in records
+        )
+    except (OSError, ValueError, KeyError, RecursionError) as error:
+        raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
+    if not sound:
+        raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")
+    return records

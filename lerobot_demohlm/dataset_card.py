@@ -1,6 +1,7 @@
 """Turns a dataset's facts into its card, the ``README.md`` that the hub shows."""
 
 import importlib.resources
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,20 @@ def render_card(meta: LeRobotDatasetMetadata, repo_id: str, facts: dict[str, Any
         facts: Content of ``meta/demohlm.json``.
     """
     template = (importlib.resources.files("lerobot_demohlm.dataset_cards") / TEMPLATE).read_text()
+    assert meta.episodes is not None  # a dataset has episodes
+    labels = [meta.episodes[name] for name in ("outcome", "stage") if name in meta.episodes.column_names]
+    ends = Counter(zip(*labels, strict=True))  # empty where an earlier version wrote the dataset
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, keep_trailing_newline=True)
     return (
         environment.from_string(template)
-        .render(repo_id=repo_id, facts=facts, info=meta.info, features=meta.features)
+        .render(
+            repo_id=repo_id,
+            facts=facts,
+            info=meta.info,
+            features=meta.features,
+            ends=sorted(ends.items()),
+            failed=bool(ends) and all(outcome != "success" for outcome, _ in ends),
+        )
         .lstrip()
     )
 

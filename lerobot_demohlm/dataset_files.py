@@ -1,5 +1,6 @@
 """Episodes -> the files of a LeRobot v3 dataset, and back to arrays."""
 
+import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from lerobot.datasets import LeRobotDatasetMetadata
-from lerobot.datasets.compute_stats import compute_episode_stats
+from lerobot.datasets.compute_stats import aggregate_stats
 from lerobot.datasets.feature_utils import get_hf_features_from_features
+from lerobot.datasets.io_utils import write_info, write_stats
 from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE, DEFAULT_DATA_PATH, DEFAULT_EPISODES_PATH
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
@@ -18,6 +20,7 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import get_task
 from lerobot_demohlm.dataset import FPS, ROBOT_TYPE, Episode, require_new_root
+from lerobot_demohlm.dataset_stats import episode_stats
 
 NEXT_SUCCESS = "next.success"
 
@@ -66,26 +69,49 @@ def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None
     require_new_root(root)
     if not episodes or any(len(episode.success) == 0 for episode in episodes):
         raise DatasetError("no episode, or one without frames", "one or more episodes with frames", "leave it out")
-    table = features(episodes[0].task)
-    meta = LeRobotDatasetMetadata.create(repo_id, FPS, table, robot_type=ROBOT_TYPE, root=root, use_videos=False)
+    meta = LeRobotDatasetMetadata.create(
+        repo_id, FPS, features(episodes[0].task), robot_type=ROBOT_TYPE, root=root, use_videos=False
+    )
     schema = get_hf_features_from_features(meta.features).arrow_schema
-    path = root / data_file(0)
-    path.parent.mkdir(parents=True)
-    with pq.ParquetWriter(path, schema=schema, compression="snappy", use_dictionary=True) as writer:
+    rows: list[dict[str, Any]] = []
+    stats: list[dict[str, dict[str, np.ndarray]]] = []
+    for path in (data_file(0), episodes_file(0)):
+        (root / path).parent.mkdir(parents=True)
+    with pq.ParquetWriter(root / data_file(0), schema=schema, compression="snappy", use_dictionary=True) as writer:
         for episode_index, episode in enumerate(episodes):
             meta.save_episode_tasks([episode.task_text])
-            start = meta.total_frames
+            start, length = meta.info.total_frames, len(episode.success)
             columns = _columns(episode, episode_index, start, meta.get_task_index(episode.task_text))
             writer.write_table(_arrow_table(columns, schema))  # one row group an episode, as LeRobot's writer
-            place = {
-                "data/chunk_index": 0,
-                "data/file_index": 0,
-                "dataset_from_index": start,
-                "dataset_to_index": start + len(episode.success),
-            }
-            stats = compute_episode_stats(columns, meta.features)
-            meta.save_episode(episode_index, len(episode.success), [episode.task_text], stats, place)
-    meta.finalize()
+            stats.append(episode_stats(columns))
+            rows.append(_episode_row(episode, episode_index, start, stats[-1]))
+            meta.info.total_frames += length
+    pq.write_table(pa.Table.from_pylist(rows), root / episodes_file(0), compression="snappy")
+    meta.info.total_episodes, meta.info.total_tasks = len(rows), len({episode.task_text for episode in episodes})
+    meta.info.splits = {"train": f"0:{len(rows)}"}
+    write_info(meta.info, root)
+    merged = functools.reduce(lambda so_far, new: aggregate_stats([so_far, new]), stats)  # one by one, as LeRobot
+    write_stats({key: merged[key] for key in meta.features}, root)  # LeRobot's order changes with the hash seed
+
+
+def _episode_row(
+    episode: Episode, episode_index: int, start: int, stats: dict[str, dict[str, np.ndarray]]
+) -> dict[str, Any]:
+    """Return an episode's row of ``meta/episodes``, in LeRobot's order."""
+    length = len(episode.success)
+    return {
+        "episode_index": episode_index,
+        "tasks": [episode.task_text],
+        "length": length,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
+        "dataset_from_index": start,
+        "dataset_to_index": start + length,
+        **episode.labels(),
+        **{f"stats/{key}/{name}": value.tolist() for key, each in stats.items() for name, value in each.items()},
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
 
 
 def _columns(episode: Episode, episode_index: int, start: int, task_index: int | None) -> dict[str, Any]:
@@ -122,6 +148,8 @@ def read_arrays(root: Path) -> Iterator[dict[str, np.ndarray]]:
     meta = LeRobotDatasetMetadata("local/dataset", root=root)
     files = {meta.get_data_file_path(index): None for index in range(meta.total_episodes)}
     for file in files:
+        if file.is_absolute() or ".." in file.parts:  # info.json says where, and may come from anybody
+            raise DatasetError(f"data at {file} of {root}", "a place inside of the dataset", "do not trust its maker")
         table = pq.read_table(root / file)
         arrays = {name: to_numpy(table.column(name)) for name in table.column_names}
         starts = np.flatnonzero(np.diff(arrays["episode_index"], prepend=-1))

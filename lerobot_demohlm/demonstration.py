@@ -257,7 +257,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         raise DemonstrationError(
             f"{root} without {META_PATH}", "a demonstration", "record one with `demohlm record`"
         ) from None
-    except ValueError as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DemonstrationError(f"{root / META_PATH}, damaged ({error})", "a JSON object", "record it again") from None
     version = metadata.get("format_version") if isinstance(metadata, dict) else None
     if version != FORMAT_VERSION:
@@ -268,7 +268,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         raise DemonstrationError(
             f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another --demonstration"
         )
-    demonstration = _read(root, get_task(metadata["task"]), metadata)
+    demonstration = _read(root, get_task(str(metadata.get("task"))), metadata)
     if demonstration.recording_hash != metadata.get("content_hash"):
         raise DemonstrationError(
             f"{root} with content hash {demonstration.recording_hash[:12]}",
@@ -291,21 +291,31 @@ def require_contact(demonstration: Demonstration) -> None:
 
 
 def _read(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
+    """Read the files; whatever is wrong with them is one error, as readers of Parquet and zip files raise anything."""
+    try:
+        return _parse(root, task, metadata)
+    except DemonstrationError:
+        raise
+    except Exception as error:
+        raise DemonstrationError(f"{root}, damaged ({error})", "a demonstration", "record it again") from error
+
+
+def _parse(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
     import pyarrow.parquet as pq
 
-    try:
-        columns: dict[str, np.ndarray] = {}
-        table = pq.read_table(root / "data")
-        for key, feature in _features(task).items():
-            column = table.column(key).combine_chunks()
-            flat = column.flatten() if hasattr(column, "flatten") and column.type.num_fields else column
-            columns[key] = flat.to_numpy(zero_copy_only=False).reshape(len(table), *feature["shape"])
-        with np.load(root / SNAPSHOTS_PATH, allow_pickle=False) as arrays:
-            snapshots = {name: arrays[name] for name in arrays.files}
-        corrections_path = root / CORRECTIONS_PATH
-        corrections = json.loads(corrections_path.read_text()) if corrections_path.exists() else None
-    except (OSError, ValueError, KeyError) as error:
-        raise DemonstrationError(f"{root}, damaged ({error})", "a demonstration", "record it again") from error
+    columns: dict[str, np.ndarray] = {}
+    table = pq.read_table(root / "data")
+    for key, feature in _features(task).items():
+        column = table.column(key).combine_chunks()
+        flat = column.flatten() if hasattr(column, "flatten") and column.type.num_fields else column
+        values = flat.to_numpy(zero_copy_only=False).reshape(len(table), *feature["shape"])
+        if values.dtype != feature["dtype"]:
+            raise DemonstrationError(f"{key} of type {values.dtype}", feature["dtype"], "record it again")
+        columns[key] = values
+    with np.load(root / SNAPSHOTS_PATH, allow_pickle=False) as arrays:
+        snapshots = {name: arrays[name] for name in arrays.files}
+    corrections_path = root / CORRECTIONS_PATH
+    corrections = json.loads(corrections_path.read_text()) if corrections_path.exists() else None
 
     def stacked(pattern: str, names: tuple[str, ...]) -> np.ndarray:
         return np.stack([columns[pattern.format(name)] for name in names], axis=1)

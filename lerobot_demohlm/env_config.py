@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
+from lerobot.processor import PolicyProcessorPipeline
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 import gym_demohlm  # noqa: F401  registers the environments
@@ -17,6 +18,7 @@ from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registration import environment_id
 from gym_demohlm.rendering import HEIGHT, WIDTH
 from gym_demohlm.task import DEFAULT_REGION, Task, get_task
+from lerobot_demohlm.batch_rows import row_processors
 
 CAMERA = "head"
 
@@ -73,6 +75,10 @@ class DemoHLMEnvConfig(EnvConfig):
     def gym_kwargs(self) -> dict[str, Any]:
         """What the environments are made with."""
         return {"obs_type": self.obs_type, "render_mode": self.render_mode, "region": self.region}
+
+    def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
+        """Return what LeRobot's evaluation does to observations and actions: see ``batch_rows.py``."""
+        return row_processors()
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{task: {0: environments}}``.

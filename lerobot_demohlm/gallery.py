@@ -31,7 +31,7 @@ from lerobot_demohlm.report import Film, film_strip, write_video
 
 CAMERAS = {"overview": "A fixed camera", "head": "The robot's head camera"}
 STRIP_FRAMES, STRIP_WIDTH = 6, 320  # frames of a strip, and the width of one [px]
-SHADOW_SIZE = 2048  # of the shadows' map [px]; enough for a strip, and a quarter of the work
+SHADOW_SIZE = 8192  # of the map of shadows [px]; a smaller one leaves specks on the floor
 Snapshot = dict[str, np.ndarray]
 
 
@@ -109,15 +109,16 @@ def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
         seed: Of the start, as in ``demohlm evaluate``.
         policy: ``pretrained_model`` directory of a checkpoint.
     """
-    from lerobot_demohlm.evaluation import load_policy, rollouts  # loads torch and lerobot's policies
+    from lerobot_demohlm.rollouts import Setting, load_policy, rollouts  # loads torch and lerobot's policies
 
     snapshots: list[Snapshot] = []
 
     def keep(env: DemoHLMVectorEnv, _going: np.ndarray) -> None:
         snapshots.append(env.sim.snapshot())
 
-    (record,) = rollouts(load_policy(policy, task.name), task.name, region, [seed], num_worlds=1, on_step=keep)
-    origin = f"{record['policy_type']}, {region}, seed {seed}"
+    setting = Setting(task=task.name, region=region, num_worlds=1)
+    (record,) = rollouts(load_policy(policy, task.name), setting, [seed], on_step=keep)
+    origin = f"{record['policy']}, {region}, seed {seed}"
     return Take(
         task=task,
         snapshots=snapshots,

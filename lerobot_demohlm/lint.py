@@ -1,12 +1,17 @@
 """A task -> a table of checks of what it calls success and failure, what a policy sees, and what its physics does.
 
 A success condition must be false at every reset, out of reach of a robot that stands still or gets random commands,
-and last in the task's demonstration. The same episodes, and the demonstration's replay, are watched for MuJoCo's
-warnings, for numbers that are not finite or never change, and for things that sink into one another.
+and last in the task's demonstration. The same episodes, the demonstration's replay and its replays from other starts
+are watched for MuJoCo's warnings, for numbers that are not finite or never change, and for things that sink into one
+another. With random commands a robot strikes things, falls over them and throws them down; at such an impact two
+things may be inside each other for an instant by as much as they move in one step of the physics, before the contact is
+found. That depth has a line and a limit of its own, beside the depth that lasts.
 """
 
 import argparse
 import json
+import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,13 +22,20 @@ from gym_demohlm import observation
 from gym_demohlm.control import command
 from gym_demohlm.episode import HOLD_S, HOLD_STEPS, max_episode_steps
 from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import STEP_DT, Simulation
 from gym_demohlm.task import Task, all_tasks, get_task
 from lerobot_demohlm.demonstration import Demonstration, load
+from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.overlaps import Overlap, WatchedSimulation
 
 ALL = "all"
+REPLAYS_TOGETHER = 8  # side by side
+MIN_SUCCESS = 0.5  # of the replays
 MAX_DEPTH = 0.005  # m that one thing may be inside another
+IMPACT_SPEED = 5.0  # m/s, of what falls off a table, or of a hand when the robot falls
+MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * g1.PHYSICS_DT
 LEAST_CHANGE = 1e-6  # of a number of the observation over all starts and steps; below it is rounding
 PERIODS = (1, 10)  # steps after which a random command is followed by the next, in turn from world to world
 
@@ -35,19 +47,20 @@ class Settings:
     Attributes:
         num_resets: Starts that are looked at, spread evenly over the task's regions.
         num_still: Worlds whose robot stands still for the time limit, regions in turn.
-        num_random: Worlds whose robot gets uniformly random commands for the time limit, regions in turn.
+        num_episodes: Worlds whose robot gets uniformly random commands for the time limit, regions in turn; and
+            replays of the demonstration from as many other starts, drawn from the last region, the widest one.
         seed: Of the starts and the commands.
         time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
     """
 
     num_resets: int = 102
     num_still: int = 3
-    num_random: int = 12
+    num_episodes: int = 12
     seed: int = 0
     time_limit_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("num_resets", "num_still", "num_random"):
+        for name in ("num_resets", "num_still", "num_episodes"):
             if getattr(self, name) < 1:
                 raise DemoHLMError(f"{name}={getattr(self, name)}", "at least 1", "raise it")
         if self.time_limit_s is not None and not self.time_limit_s > 0:
@@ -65,51 +78,14 @@ class Check:
         got: What was found.
         expected: What should have been found.
         ok: Whether that is so.
+        number: What was found, as one number: a count, a time [s] or a depth [mm].
     """
 
     name: str
     got: str
     expected: str
     ok: bool
-
-
-class _Watched(Simulation):
-    """A simulation that keeps the deepest contact of anything that the task added, looked for at every tick.
-
-    Attributes:
-        depth: The deepest so far [m].
-        deepest: Names of what was inside each other, and when.
-    """
-
-    def __init__(self, task: Task, num_worlds: int = 1) -> None:
-        self.depth, self.deepest = 0.0, "no contact"
-        super().__init__(task, num_worlds)
-        model = self.model
-        robot = model.body_rootid[model.body("pelvis").id]
-        # Robot and floor alone are the controller's matter; a contact counts where a task's body takes part.
-        self._added = model.body_rootid[model.geom_bodyid] != robot
-        self._added[model.geom("floor").id] = False
-
-    def watch(self, worlds: np.ndarray) -> None:
-        """Look at the contacts of some worlds now."""
-        for world in worlds:
-            contacts = self.mj_data(int(world)).contact
-            if len(contacts.dist) == 0:
-                continue
-            depths = np.where(self._added[contacts.geom].any(axis=1), -contacts.dist, 0.0)
-            index = int(np.argmax(depths))
-            if depths[index] > self.depth:
-                self.depth = float(depths[index])
-                names = " in ".join(self._name(geom) for geom in contacts.geom[index])
-                self.deepest = f"{names} at {self.time[world]:.2f} s in world {world}"
-
-    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        sound = super()._tick(tick, rows, commands)
-        self.watch(sound)
-        return sound
-
-    def _name(self, geom: int) -> str:
-        return self.model.geom(geom).name or self.model.body(self.model.geom_bodyid[geom]).name
+    number: float
 
 
 def lint(task: Task, demonstration: Demonstration | None, settings: Settings | None = None) -> list[Check]:
@@ -126,21 +102,21 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
     settings = settings or Settings()
     checks = [*_check_resets(task, settings), *_check_episodes(task, settings)]
     if demonstration is not None:
-        checks += _check_demonstration(task, demonstration)
+        checks += [*_check_demonstration(task, demonstration), *_check_replays(task, demonstration, settings)]
     return checks
 
 
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = _Watched(task, settings.num_resets)
+    sim = WatchedSimulation(task, settings.num_resets)
     sim.reset([task.sample(region, generators[region]) for region in regions])
     sim.watch(np.arange(settings.num_resets))
     where = f"{settings.num_resets} resets in {', '.join(task.regions)}"
     checks = [
         _never("success at a reset", sim.success(), where),
         _never("failure at a reset", _any_failure(sim), where),
-        _depth_check("depth at a reset", sim),
+        _depth_check("depth at a reset", sim.deepest),
     ]
     sim.close()
     return checks
@@ -152,10 +128,10 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     A world whose robot falls, or whose physics breaks down, starts again elsewhere, so that each runs for the whole
     time limit.
     """
-    num_still, num_worlds = settings.num_still, settings.num_still + settings.num_random
+    num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
     generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
-    regions = [*_regions(task, num_still), *_regions(task, settings.num_random)]
-    sim = _Watched(task, num_worlds)
+    regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
+    sim = WatchedSimulation(task, num_worlds)
     commands = np.tile(command.rest(), (num_worlds, 1))
     success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
     restart, seen = np.arange(num_worlds), []
@@ -177,14 +153,15 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     sim.close()
     still, moved = slice(0, num_still), slice(num_still, None)
     standing = f"{num_still} worlds of {num_steps * STEP_DT:g} s, {falls[still].sum()} falls"
-    random = f"{settings.num_random} worlds of {num_steps * STEP_DT:g} s, {falls[moved].sum()} falls"
+    random = f"{settings.num_episodes} worlds of {num_steps * STEP_DT:g} s, {falls[moved].sum()} falls"
     return [
         _never("success standing still", success[still], standing),
         _never("failure standing still", failure[still], standing),
         _never("success by random commands", success[moved], random),
         *_check_observations(task, np.stack(seen)),
         _never("MuJoCo warning, NaN or speed", broken, f"{num_worlds} worlds"),
-        _depth_check("depth in these worlds", sim),
+        _depth_check("depth in these worlds", sim.lasting),
+        _depth_check("depth at impacts in these worlds", sim.deepest, MAX_IMPACT_DEPTH),
     ]
 
 
@@ -197,13 +174,13 @@ def _check_observations(task: Task, seen: np.ndarray) -> list[Check]:
     if task.hands == "rubber":  # a hand without a gripper has its place in the observation all the same
         constant -= {f"{joint}.{kind}" for joint in GRIPPER_JOINTS for kind in ("pos", "vel")}
     return [
-        Check(name="observation finite", got=_listed(infinite), expected="none that is not", ok=len(infinite) == 0),
-        Check(name="observation changes", got=_listed(constant), expected="none that never does", ok=not constant),
+        _none("observation finite", infinite, "none that is not"),
+        _none("observation changes", constant, "none that never does"),
     ]
 
 
 def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check]:
-    sim = _Watched(task)
+    sim = WatchedSimulation(task)
     sim.restore(demonstration.start)
     sim.watch(np.arange(1))
     success, failure = [], []
@@ -215,25 +192,57 @@ def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check
     longest = max(runs, default=0)
     spans = ", ".join(f"{length * STEP_DT:.1f} s" for length in runs) or "never"
     checks = [
-        Check(name="demonstration: success ever", got=spans, expected="once or more", ok=longest > 0),
+        Check(
+            name="demonstration: success ever",
+            got=spans,
+            expected="once or more",
+            ok=longest > 0,
+            number=len(runs),
+        ),
         Check(
             name="demonstration: success at the end",
             got="yes" if success[-1] else "no",
             expected="yes",
             ok=success[-1],
+            number=float(success[-1]),
         ),
         Check(
             name="demonstration: success held",
             got=f"{longest * STEP_DT:.1f} s",
             expected=f"{HOLD_S:.1f} s or more",
             ok=longest >= HOLD_STEPS,
+            number=longest * STEP_DT,
         ),
         _never("demonstration: failure", np.array(failure), f"{len(failure)} steps"),
         _never("demonstration: MuJoCo warning, NaN or speed", sim.unstable, "1 replay"),
-        _depth_check("demonstration: depth", sim),
+        _depth_check("demonstration: depth", sim.deepest),
     ]
     sim.close()
     return checks
+
+
+def _check_replays(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
+    """Replay the demonstration from other starts, as a generation run of that seed does."""
+    count, region = settings.num_episodes, list(task.regions)[-1]
+    sim, broken = WatchedSimulation(task, min(count, REPLAYS_TOGETHER)), 0
+    attempts = Attempts(task, demonstration, region, settings.seed, sim=sim)
+    outcomes: Counter[str] = Counter()
+    for first in range(0, count, sim.num_worlds):
+        outcomes.update(episode.outcome for episode in attempts.run(range(first, min(first + sim.num_worlds, count))))
+        broken += int(sim.unstable.sum())
+    attempts.close()
+    share = outcomes["success"] / count
+    return [
+        Check(
+            name="replays: success",
+            got=", ".join(f"{number} {outcome}" for outcome, number in outcomes.most_common()) + f" in {region}",
+            expected=f"{MIN_SUCCESS:.0%} or more",
+            ok=share >= MIN_SUCCESS,
+            number=share,
+        ),
+        _never("replays: MuJoCo warning, NaN or speed", np.ones(broken), f"{count} replays"),
+        _depth_check("replays: depth", sim.deepest),
+    ]
 
 
 def _observe(sim: Simulation) -> np.ndarray:
@@ -259,16 +268,23 @@ def _run_lengths(values: Sequence[bool]) -> list[int]:
 
 def _never(name: str, found: np.ndarray, where: str) -> Check:
     count = int(np.count_nonzero(found))
-    return Check(name=name, got=f"{count} in {where}", expected="0", ok=count == 0)
+    return Check(name=name, got=f"{count} in {where}", expected="0", ok=count == 0, number=count)
 
 
-def _depth_check(name: str, sim: _Watched) -> Check:
-    got = f"{1000 * sim.depth:.1f} mm" + (f", {sim.deepest}" if sim.depth > MAX_DEPTH else "")
-    return Check(name=name, got=got, expected=f"{1000 * MAX_DEPTH:g} mm or less", ok=sim.depth <= MAX_DEPTH)
+def _none(name: str, found: set[str] | np.ndarray, expected: str) -> Check:
+    got = ", ".join(sorted(map(str, found))) or "none"
+    return Check(name=name, got=got, expected=expected, ok=len(found) == 0, number=len(found))
 
 
-def _listed(names: set[str] | np.ndarray) -> str:
-    return ", ".join(sorted(map(str, names))) or "none"
+def _depth_check(name: str, overlap: Overlap, limit: float = MAX_DEPTH) -> Check:
+    got = f"{1000 * overlap.depth:.1f} mm" + (f", {overlap.where}" if overlap.depth > limit else "")
+    return Check(
+        name=name,
+        got=got,
+        expected=f"{1000 * limit:g} mm or less",
+        ok=overlap.depth <= limit,
+        number=round(1000 * overlap.depth, 2),
+    )
 
 
 def format_table(title: str, checks: Sequence[Check]) -> str:
@@ -293,18 +309,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--num-still", type=int, default=defaults.num_still, help="worlds standing still (default: %(default)s)"
     )
     parser.add_argument(
-        "--num-random", type=int, default=defaults.num_random, help="with random commands (default: %(default)s)"
+        "--num-episodes",
+        type=int,
+        default=defaults.num_episodes,
+        help="with random commands, and replays from other starts (default: %(default)s)",
     )
-    parser.add_argument("--time-limit-s", type=float, help="of these worlds (default: the task's own time limit)")
+    parser.add_argument("--time-limit-s", type=float, help="of worlds (default: the task's own time limit)")
     parser.add_argument("--seed", type=int, default=defaults.seed, help="of starts and commands (default: %(default)s)")
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Print a table a task, then one line of JSON; exit code 1 where a check failed."""
+    """Print a table a task, then one line of JSON with the number of each check; exit code 1 where a check failed."""
     settings = Settings(
         num_resets=arguments.num_resets,
         num_still=arguments.num_still,
-        num_random=arguments.num_random,
+        num_episodes=arguments.num_episodes,
         seed=arguments.seed,
         time_limit_s=arguments.time_limit_s,
     )
@@ -312,11 +331,15 @@ def main(arguments: argparse.Namespace) -> int:
     if everything and arguments.root is not None:
         raise DemoHLMError(f"--root with {ALL!r}", "one task", "name the task of that demonstration")
     failed: dict[str, list[str]] = {}
+    found: dict[str, dict[str, float]] = {}
     for task in all_tasks().values() if everything else [get_task(arguments.task)]:
         demonstration = None if arguments.no_demonstration else load(arguments.root, task)
+        began = time.process_time()
         checks = lint(task, demonstration, settings)
         failed[task.name] = [check.name for check in checks if not check.ok]
+        found[task.name] = {check.name: check.number for check in checks}
+        found[task.name]["CPU time"] = round(time.process_time() - began, 1)
         print(format_table(task.name, checks), end="\n\n", flush=True)
     ok = not any(failed.values())
-    print(json.dumps({"ok": ok, "failed": failed, **asdict(settings)}))
+    print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
     return 0 if ok else 1

@@ -114,21 +114,19 @@ def run(quickstart: Quickstart) -> Path:
         checkpoint = train(quickstart.root / "train", dataset_root, steps=quickstart.steps, seed=quickstart.seed)
 
     with _step(durations, 3, f"Scoring {quickstart.num_rollouts} rollouts from starts it has not seen"):
-        from lerobot_demohlm.evaluation import FIRST_SEED, load_policy, rollouts_with_bar, summarize, write_records
+        from lerobot_demohlm.evaluation import FIRST_SEED, evaluate, summarize
+        from lerobot_demohlm.rollouts import Setting, load_policy
 
         recorder = Recorder()
         with _quiet():
             loaded = load_policy(checkpoint, quickstart.task)
-        found = rollouts_with_bar(
+        records = evaluate(
             loaded,
-            quickstart.task,
-            quickstart.region,
+            Setting(task=quickstart.task, region=quickstart.region, num_threads=quickstart.num_workers),
             range(FIRST_SEED, FIRST_SEED + quickstart.num_rollouts),
-            num_worlds=min(25, quickstart.num_rollouts),
-            num_threads=quickstart.num_workers,
+            quickstart.root / "rollouts.jsonl",
             on_step=recorder,
         )
-        records = write_records(quickstart.root / "rollouts.jsonl", found)
         success = summarize(records)["success_held"]
         low, high = success["interval"]
         _say(f"Success {100 * success['rate']:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f} %)")

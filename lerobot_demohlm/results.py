@@ -13,6 +13,8 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.evaluation import read_records, wilson
+from lerobot_demohlm.experiments.paper import GENERATION
+from lerobot_demohlm.experiments.tables import experiments_tables, regions_table
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 Line = dict[str, Any]
@@ -76,31 +78,18 @@ def _latest(lines: list[Line], *keys: str) -> list[Line]:
     return [kept[key] for key in sorted(kept)]
 
 
-PAPER_GENERATION = {  # %, the paper's appendix "Data Generation Success Rate", and its table of regions
-    ("LiftBox", "R3"): 91.2,
-    ("PressCube", "R3"): 92.5,
-    ("PushCube", "R3"): 99.3,
-    ("Handover", "R1"): 99.7,
-    ("Handover", "R2"): 89.5,
-    ("Handover", "R3"): 79.2,
-    ("GraspCube", "R1"): 99.3,
-    ("GraspCube", "R2"): 97.1,
-    ("GraspCube", "R3"): 92.6,
-    ("OpenCabinet", "R3"): 82.3,
-    ("PushCart", "R3"): 97.6,
-    ("EraseBoard", "R3"): 74.6,
-    ("PourWater", "R3"): 81.9,
-    ("ExchangeCube", "R3"): 72.7,
-}
 PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, its architectures table
 
 
 def _generation(lines: list[Line]) -> str:
     rows = []
-    for line in _latest(lines, "task", "region"):
+    for line in _latest([{"retries": 0, **line} for line in lines], "task", "region", "retries"):
         failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
-        paper = PAPER_GENERATION.get((line["task"], line["region"]))
+        paper = GENERATION.get((line["task"], line["region"]))
         rate = _percent(line["successes"], line["attempts"])
+        if line["retries"]:
+            first = f"{100 * line['first_try_successes'] / line['attempts']:.1f}"
+            rate += f", with up to {line['retries']} retries; {first} at the first try"
         rows.append(
             [
                 line["task"],
@@ -136,7 +125,7 @@ def from_rollouts(path: Path) -> Line:
     first = records[0]
     return {
         "task": first["task"],
-        "policy": first["policy_type"],
+        "policy": first["policy"],
         "policy_hash": first["policy_hash"],
         "num_train_episodes": first["num_train_episodes"],
         "region": first["region"],
@@ -199,7 +188,9 @@ def _time(lines: list[Line]) -> str:
 
 _SECTIONS = (
     ("generation.jsonl", _generation),
+    ("generation.jsonl", regions_table),
     ("generation_time.jsonl", _time),
+    ("experiments.jsonl", experiments_tables),
     ("policies.jsonl", _policies),
     ("controller.jsonl", _controller),
 )
@@ -207,12 +198,16 @@ _SECTIONS = (
 
 def tables(results: Path) -> str:
     """Return the Markdown of all results, each with the commands that made it."""
-    parts = []
+    parts, shown = [], set()
     for name, render in _SECTIONS:
         lines = read(results / name)
-        if lines:
+        if lines and (table := render(lines)):
+            if name in shown:  # its commands stand above
+                parts.append(table)
+                continue
+            shown.add(name)
             commands = "\n".join(dict.fromkeys(f"{line['command']}" for line in lines))
-            parts.append(f"{render(lines)}\n\n```\n{commands}\n```")
+            parts.append(f"{table}\n\n```\n{commands}\n```")
     return "\n\n".join(parts) or "No results yet."
 
 

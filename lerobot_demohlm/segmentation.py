@@ -255,9 +255,11 @@ def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int, 
 def _corrected(demonstration: Demonstration) -> list[Segment]:
     """Read segments from the sidecar: {"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}."""
     corrections: dict[str, Any] = demonstration.corrections or {}
-    names = {entry.name for entry in get_task(demonstration.task).objects}
+    names = [entry.name for entry in get_task(demonstration.task).objects]  # a list: what is asked may be unhashable
     try:
         segments = [Segment(**entry) for entry in corrections["segments"]]
+        if any(type(tick) is not int for entry in segments for tick in (entry.start, entry.stop)):
+            raise TypeError("ticks are whole numbers")
     except (KeyError, TypeError) as error:
         raise DemonstrationError(
             f"corrections that cannot be read ({error})",
@@ -277,10 +279,12 @@ def _corrected(demonstration: Demonstration) -> list[Segment]:
             )
     for entry in segments:
         known = entry.object in names or (entry.object is None and entry.kind == "proprioception")
-        if entry.kind not in ("object", "proprioception") or entry.anchor not in ANCHORS or not known:
+        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS
+        if entry.kind not in ("object", "proprioception") or not known:
             raise DemonstrationError(
                 f"a corrected segment {entry}",
-                f"kind object or proprioception, an object of {sorted(names)}, an anchor of {ANCHORS}",
+                f"a hand of {g1.SIDES}, kind object or proprioception, an object of {sorted(names)}, "
+                f"an anchor of {ANCHORS}",
                 "mend meta/segments.json, or remove it",
             )
     return segments

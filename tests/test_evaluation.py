@@ -13,18 +13,19 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import DatasetError, PolicyError
 from gym_demohlm.task import get_task, register_task
 from gym_demohlm.vector_env import DemoHLMVectorEnv
-from lerobot_demohlm import cli, evaluation
-from lerobot_demohlm.evaluation import load_policy, read_records, rollouts, summarize, wilson, write_records
+from lerobot_demohlm import cli, evaluation, rollouts
+from lerobot_demohlm.evaluation import append_records, evaluate, read_records, resumed_records, summarize, wilson
 from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
 from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import make_chunked_mlp_pre_post_processors
+from lerobot_demohlm.rollouts import Setting, load_policy, policy_hash
 
 TASK = register_task(replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)).name
 SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 23}
 
 
-def save_policy(path: Path, *, state_size: int = 68) -> Path:
-    """Write the checkpoint of a policy that stands still: every weight is zero, the mean action is the rest command."""
+def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
+    """Write the checkpoint of a policy that stands still, or fidgets where it is given weights of a scale."""
     config = ChunkedMLPConfig(device="cpu", push_to_hub=False, hidden_dims=[4], chunk_size=4, n_action_steps=3)
     config.input_features = {
         "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(state_size,)),
@@ -32,8 +33,9 @@ def save_policy(path: Path, *, state_size: int = 68) -> Path:
     }
     config.output_features = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(23,))}
     policy = ChunkedMLPPolicy(config)
+    torch.manual_seed(0)
     for parameter in policy.parameters():
-        torch.nn.init.zeros_(parameter)
+        torch.nn.init.normal_(parameter, std=scale)
     stats = {key: {"mean": np.zeros(size), "std": np.ones(size)} for key, size in SIZES.items()}
     stats["observation.state"] = {"mean": np.zeros(state_size), "std": np.ones(state_size)}
     stats["action"]["mean"] = command.rest()
@@ -47,12 +49,31 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_policy(tmp_path_factory.mktemp("policy") / "pretrained_model")
 
 
-def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(checkpoint: Path) -> None:
-    loaded = load_policy(checkpoint, TASK)
+@pytest.fixture(scope="module")
+def restless(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a policy whose actions depend on what it sees."""
+    return save_policy(tmp_path_factory.mktemp("restless") / "pretrained_model", scale=0.2)
+
+
+def played(loaded: rollouts.LoadedPolicy, seeds: list[int], **kwargs: int) -> tuple[list[dict], np.ndarray]:
+    """Roll out and return the records and the physics states of every step (steps, worlds, size)."""
+    states: list[np.ndarray] = []
+    setting = Setting(task=TASK, region="R1", **kwargs)
+    found = rollouts.rollouts(
+        loaded, setting, seeds, on_step=lambda env, going: states.append(env.sim.snapshot()["physics"])
+    )
+    return list(found), np.stack(states)
+
+
+def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(restless: Path) -> None:
+    loaded = load_policy(restless, TASK)
     seeds = [7, 8, 9]
-    batched = list(rollouts(loaded, TASK, "R1", seeds, num_worlds=2))  # the last batch has one world too many
-    alone = [record for seed in seeds for record in rollouts(loaded, TASK, "R1", [seed])]
-    assert batched == alone
+    batched, states = played(loaded, seeds, num_worlds=2)  # the last batch has one world too many
+    for place, seed in enumerate(seeds):
+        alone, own_states = played(loaded, [seed])
+        assert alone == [batched[place]]
+        batch, world = divmod(place, 2)
+        np.testing.assert_array_equal(states[6 * batch : 6 * batch + 6, world], own_states[:, 0])
     assert [record["seed"] for record in batched] == seeds
     env = DemoHLMVectorEnv(num_envs=1, task=TASK, region="R1")
     for record in batched:
@@ -61,7 +82,7 @@ def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(checkpoint: Path)
         assert record["length_s"] == 0.5
         assert record["outcome"] == "timeout"
         assert not record["success_held"]
-        assert (record["policy_type"], record["num_train_episodes"]) == ("chunked_mlp", None)
+        assert (record["policy"], record["num_train_episodes"], record["train_seed"]) == ("chunked_mlp", None, None)
     env.close()
     assert batched[0]["initial_state"] != batched[1]["initial_state"]
     assert json.loads(json.dumps(batched)) == batched
@@ -69,8 +90,9 @@ def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(checkpoint: Path)
 
 def test_observer_sees_every_step(checkpoint: Path) -> None:
     seen: list[list[bool]] = []
+    setting = Setting(task=TASK, region="R1")
     loaded = load_policy(checkpoint, TASK)
-    list(rollouts(loaded, TASK, "R1", [1, 2], num_worlds=2, on_step=lambda env, going: seen.append(going.tolist())))
+    list(rollouts.rollouts(loaded, setting, [1, 2], on_step=lambda env, going: seen.append(going.tolist())))
     assert seen == [[True, True]] * 5 + [[False, False]]
 
 
@@ -83,8 +105,11 @@ def test_command_line(checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert summary["success_held"]["rate"] == 0
     assert summary["outcomes"]["timeout"] == 2
     assert [record["seed"] for record in read_records(output)] == [evaluation.FIRST_SEED, evaluation.FIRST_SEED + 1]
+    assert cli.main([*arguments, "--output", str(output)]) == 0  # nothing is left to do
+    assert len(read_records(output)) == 2
+    arguments[arguments.index("R2")] = "R1"
     assert cli.main([*arguments, "--output", str(output)]) == 2
-    assert "exists" in capsys.readouterr().err
+    assert "region=R2" in capsys.readouterr().err
     assert cli.main([*arguments, "--num-worlds", "0"]) == 2
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--task", TASK, "--region", "R7"]) == 2
     assert cli.main(["evaluate", "--policy", str(tmp_path), "--task", TASK]) == 2
@@ -111,18 +136,17 @@ def test_policy_hash_is_of_what_decides_actions(checkpoint: Path, tmp_path: Path
     copy.mkdir()
     for file in checkpoint.iterdir():
         (copy / file.name).write_bytes(file.read_bytes())
-    original = evaluation.policy_hash(checkpoint)
+    original = policy_hash(checkpoint)
     (copy / "train_config.json").write_text("{}")
-    assert evaluation.policy_hash(copy) == original
+    assert policy_hash(copy) == original
     weights = copy / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1] + b"\x01")
-    assert evaluation.policy_hash(copy) != original
+    assert policy_hash(copy) != original
 
 
 def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -> None:
     def count(dataset: dict) -> int | None:
-        (tmp_path / "train_config.json").write_text(json.dumps({"dataset": dataset}))
-        return evaluation._num_train_episodes(tmp_path)
+        return rollouts._num_train_episodes({"dataset": dataset})
 
     (tmp_path / "data/meta").mkdir(parents=True)
     (tmp_path / "data/meta/info.json").write_text('{"total_episodes": 12}')
@@ -130,6 +154,7 @@ def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -
     assert count({"root": str(tmp_path / "data"), "episodes": [0, 3]}) == 2
     assert count({"root": str(tmp_path / "gone"), "episodes": None}) is None
     assert count({"root": None, "episodes": None}) is None
+    assert count({}) is None
 
 
 @pytest.mark.parametrize(
@@ -146,7 +171,7 @@ def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -
 )
 def test_outcome_names_what_went_wrong_worst(flags: set[str], outcome: str) -> None:
     names = ("success_held", "fell", "unstable", "dropped", "collided")
-    assert evaluation._outcome({name: name in flags for name in names}) == outcome
+    assert rollouts._outcome({name: name in flags for name in names}) == outcome
 
 
 def test_wilson_intervals() -> None:
@@ -169,13 +194,80 @@ def test_records_on_disk(tmp_path: Path) -> None:
     record = {"outcome": "success", "success_held": True, "success_end": True, "success_ever": True}
     failed = record | {"outcome": "fell", "success_held": False, "success_end": False}
     path = tmp_path / "rollouts.jsonl"
-    assert write_records(path, iter([record, failed])) == read_records(path) == [record, failed]
+    assert append_records(path, iter([record, failed])) == read_records(path) == [record, failed]
     summary = summarize(read_records(path))
     assert [summary[name]["rate"] for name in evaluation.SUCCESSES] == [0.5, 0.5, 1.0]
-    with pytest.raises(DatasetError, match="exists"):
-        write_records(path, iter([record]))
-    assert read_records(path) == [record, failed]
     for content in ("", "{", "[1]", '{"outcome": "won"}'):
         path.write_text(content)
         with pytest.raises(DatasetError, match="demohlm evaluate"):
             read_records(path)
+
+
+def test_a_killed_evaluation_goes_on(restless: Path, tmp_path: Path) -> None:
+    loaded, setting = load_policy(restless, TASK), Setting(task=TASK, region="R1", num_worlds=2)
+    whole = evaluate(loaded, setting, [3, 4, 5], tmp_path / "whole.jsonl")
+    assert [record["seed"] for record in whole] == [3, 4, 5]
+    lines = (tmp_path / "whole.jsonl").read_bytes().splitlines(keepends=True)
+    torn = tmp_path / "torn.jsonl"
+    for kept in (lines[0] + lines[1][:-1], lines[0] + lines[1] + lines[2][:5]):
+        torn.write_bytes(kept)
+        assert evaluate(loaded, setting, [3, 4, 5], torn) == whole
+        assert sorted(torn.read_bytes().splitlines(keepends=True)) == sorted(lines)
+    assert evaluate(loaded, setting, [3, 4], tmp_path / "late.jsonl", deadline=0.0) == []
+    assert resumed_records(tmp_path / "late.jsonl", {}) == []
+    torn.write_bytes(lines[0][:40])
+    assert (resumed_records(torn, {}), torn.read_bytes()) == ([], b"")
+    torn.write_bytes(lines[0])
+    with pytest.raises(DatasetError, match="choose another --output"):
+        evaluate(loaded, Setting(task=TASK, region="R2"), [3], torn)
+
+
+def test_workers_give_the_same_lines(restless: Path) -> None:
+    loaded = load_policy(restless, TASK)
+    seeds = [3, 4, 5]
+    one = list(rollouts.rollouts(loaded, Setting(task=TASK, region="R1"), seeds))
+    two = list(rollouts.rollouts(loaded, Setting(task=TASK, region="R1", num_worlds=2, num_workers=2), seeds))
+    assert one == two
+    with pytest.raises(PolicyError, match="num_workers=2"):
+        played(loaded, seeds, num_workers=2)
+
+
+def test_lerobots_rollout_is_ours(restless: Path) -> None:
+    """LeRobot's own loop, with processors and environments as ``lerobot-eval`` makes them, ends in the same states."""
+    from lerobot.envs import make_env_pre_post_processors
+    from lerobot.scripts.lerobot_eval import rollout
+
+    from lerobot_demohlm.env_config import DemoHLMEnvConfig
+
+    loaded = load_policy(restless, TASK)
+    records, states = played(loaded, [11, 12, 13])
+    config = DemoHLMEnvConfig(task=TASK, region="R1")
+    for batch in ([11, 12], [13]):  # other batches than ours
+        env = config.create_envs(len(batch))[TASK][0]
+        ours = states[:, [seed - 11 for seed in batch]]
+        seen: list[np.ndarray] = []
+        pre, post = make_env_pre_post_processors(config, loaded.policy.config)
+        result = rollout(
+            env,
+            loaded.policy,
+            pre,
+            post,
+            loaded.preprocessor,
+            loaded.postprocessor,
+            seeds=batch,
+            render_callback=lambda env, seen=seen: seen.append(env.sim.snapshot()["physics"]),
+        )
+        env.close()
+        np.testing.assert_array_equal(np.stack(seen), ours)
+        assert result["success"].any(dim=1).tolist() == [records[seed - 11]["success_held"] for seed in batch]
+    assert not np.array_equal(ours[1], ours[-1])
+
+
+@pytest.mark.slow
+def test_benchmark_beside_lerobot_eval(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["benchmark", "evaluation", "--num-episodes", "3", "--num-lerobot-episodes", "2", "--region", "R1"]
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (found["compared"], found["agreeing"]) == (2, 2)
+    assert found["ratio"] > 1
+    assert cli.main([*words, "--num-workers", "0"]) == 2

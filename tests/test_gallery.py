@@ -51,7 +51,8 @@ def test_shots_show_the_moment_that_is_asked_for(take: Take) -> None:
     sim.close()
 
 
-def test_films_and_pages(take: Take, tmp_path: Path) -> None:
+def test_films_and_pages(take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gallery, "SHADOW_SIZE", 256)  # a fraction of the work
     short = dataclasses.replace(take, snapshots=take.snapshots[::30], outcome="ik_failed")
     gallery.write_take(short, tmp_path / "films", width=64)
     names = {f"lift_box_{camera}.{kind}" for camera in gallery.CAMERAS for kind in ("png", "mp4")}

@@ -9,7 +9,7 @@ from gym_demohlm.control import command
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import get_task
 from gym_demohlm.tasks import handover
-from gym_demohlm.tasks.pour_water import BOWL_POSITION, DROPS, share_in_bowl
+from gym_demohlm.tasks.pour_water import BOWL_POSITION, DROPS, NUM_DROPS, share_in_bowl
 
 
 def make(name: str, lowered: float = 0.1) -> Simulation:
@@ -75,6 +75,6 @@ def test_water_stays_in_the_bottle_and_counts_in_the_bowl() -> None:
         put(sim, name, bowl @ poses.pose([0.03 * np.cos(angle), 0.03 * np.sin(angle), 0.01]))
     for _ in range(10):
         sim.step(command.rest()[None])
-    assert share_in_bowl(sim)[0] == pytest.approx(0.5)
+    assert share_in_bowl(sim)[0] == pytest.approx(8 / NUM_DROPS)
     assert not sim.success()[0]
     assert np.linalg.norm(sim.pose("bowl")[0, :3, 3] - np.add(BOWL_POSITION, [0.0, 0.05, -0.1])) < 2e-3

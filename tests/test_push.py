@@ -15,7 +15,8 @@ import pytest
 from synthetic import make_episode, make_facts
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.generation_run import GenerationRun, write_block
+from lerobot_demohlm.generation_block import write_block
+from lerobot_demohlm.generation_run import GenerationRun
 from lerobot_demohlm.push import push
 
 REPO = "user/name"

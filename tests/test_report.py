@@ -22,7 +22,7 @@ def make_records() -> list[dict]:
             "task": "LiftBox",
             "region": "R1",
             "seed": seed,
-            "policy_type": "chunked_mlp",
+            "policy": "chunked_mlp",
             "policy_hash": "0" * 64,
             "num_train_episodes": 100,
             "success_ever": True,
@@ -103,7 +103,7 @@ def test_training_of_the_quickstart(tmp_path: Path) -> None:
     from synthetic import make_episode
 
     from lerobot_demohlm import dataset_files
-    from lerobot_demohlm.evaluation import load_policy
+    from lerobot_demohlm.rollouts import load_policy
 
     dataset_files.write_dataset(tmp_path / "data", "local/data", [make_episode(index) for index in range(3)])
     checkpoint = training.train(tmp_path / "train", tmp_path / "data", steps=2, seed=0)

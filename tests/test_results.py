@@ -20,12 +20,15 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     }
     results.append(tmp_path / "generation.jsonl", "demohlm generate ...", {**facts, "successes": 1})
     results.append(tmp_path / "generation.jsonl", "demohlm generate ...", facts)
+    again = {"successes": 97, "retries": 2, "first_try_successes": 93, "outcomes": {"success": 97, "fell": 3}}
+    results.append(tmp_path / "generation.jsonl", "demohlm generate --retries 2 ...", {**facts, **again})
     readme = tmp_path / "README.md"
     readme.write_text(f"top\n{results.BEGIN}\nold\n{results.END}\nbottom\n")
     assert results.update_readme(readme, tmp_path)
     text = readme.read_text()
     assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6) | 91.2 | fell 7 |" in text
-    assert text.count("| LiftBox |") == 1  # the last line of a task and region counts
+    assert "| 97.0 (91.5 to 99.0), with up to 2 retries; 93.0 at the first try | 91.2 | fell 3 |" in text
+    assert text.count("| LiftBox |") == 2  # the last line of a task, region and number of retries counts
     assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
     assert not results.update_readme(readme, tmp_path)
 

@@ -17,8 +17,8 @@ TASK = get_task("LiftBox")
 STATES: list[InitialState] = [
     {"robot": [-0.6, 0.05, 0.2], "object": [0.01, -0.03, 0.5]},
     {"robot": [-0.3, -0.04, -0.1], "object": [0.0, 0.0, -0.4]},
-    {"robot": [0.02, 0.0, 0.0], "object": [0.0, 0.0, 0.0]},
-    {"robot": [0.05, 0.02, 0.05], "object": [0.02, 0.25, 0.3]},
+    {"robot": [0.02, 0.0, 0.0], "object": [0.0, 0.25, 0.0]},
+    {"robot": [0.05, 0.02, 0.05], "object": [0.02, 0.35, 0.3]},
 ]
 
 
@@ -220,10 +220,27 @@ def test_the_neck_turns_the_camera_to_the_box() -> None:
         towards = sim.pose("box")[0, :3, 3] - camera[:3, 3]
         return float(np.arccos(camera[:3, 0] @ towards / np.linalg.norm(towards)))
 
+    assert bearing() < 0.01  # from the first image on
+    snapshot = sim.snapshot()
+    snapshot["neck"][:] = 0.0
+    snapshot["physics"][:, 1 + sim.scene.neck_qpos] = 0.0
+    sim.restore(snapshot)
     start = bearing()
     for _ in range(10):
         sim.step(command.rest()[None])
     assert start > 0.5 and bearing() < 0.1
+
+
+def test_arm_targets_go_no_faster_than_arms_may() -> None:
+    sim = make(1)
+    sim.reset([STATES[0]])
+    wanted = command.rest()[None]
+    wanted[0, command.ARMS.start] += 1.2  # rad
+    wanted[0, command.ARMS.start + 3] += 0.4
+    applied = [sim.step(wanted).commands[0] - command.rest() for _ in range(3)]
+    assert [row[command.ARMS.start] for row in applied] == pytest.approx([0.5, 1.0, 1.2])
+    assert [row[command.ARMS.start + 3] for row in applied] == pytest.approx([0.4, 0.4, 0.4])
+    sim.close()
 
 
 def test_success_and_failure_of_lift_box() -> None:

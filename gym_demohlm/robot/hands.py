@@ -42,8 +42,8 @@ class RubberPalm:
     toe_in: float = 0.06
     half_size: tuple[float, float, float] = (0.058, 0.028, 0.036)
     friction: tuple[float, float, float] = (1.2, 0.025, 0.0005)
-    solref: tuple[float, float] = (0.02, 1.0)
-    solimp: tuple[float, float, float] = (0.5, 0.9, 0.006)
+    solref: tuple[float, float] = (0.008, 1.0)
+    solimp: tuple[float, float, float] = (0.35, 0.99, 0.01)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def contact_geoms(kind: Hands, side: str) -> tuple[str, ...]:
     """Return the names of the geoms with which a hand grasps."""
     if kind == "rubber":
         return (f"{side}_palm_pad",)
-    return tuple(f"{side}_{jaw}_pad_{index}" for jaw in ("jaw", "mirror") for index in range(2))
+    return tuple(f"{side}_{jaw}_pad" for jaw in ("jaw", "mirror"))
 
 
 def _add_rubber_palm(spec: mujoco.MjSpec, side: str, palm: RubberPalm) -> None:
@@ -141,8 +141,8 @@ def _add_rubber_palm(spec: mujoco.MjSpec, side: str, palm: RubberPalm) -> None:
     pad = wrist.add_geom(name=f"{side}_palm_pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=palm.half_size)
     pad.pos = [x - sign * depth * math.sin(angle), sign * (y + depth * math.cos(angle)), z]
     pad.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-    pad.mass, pad.friction, pad.solref, pad.solimp[:3] = 0.0, palm.friction, palm.solref, palm.solimp
     _make_grasping(pad)
+    pad.mass, pad.friction, pad.solref, pad.solimp[:3] = 0.0, palm.friction, palm.solref, palm.solimp
     spec.site(f"{side}_palm").pos = [x, sign * y, z]
 
 
@@ -179,13 +179,13 @@ def _add_gripper(spec: mujoco.MjSpec, side: str, gripper: ParallelGripper) -> No
         joint.damping[0] = gripper.force_limit / gripper.max_speed / 2
         carriage = [-0.006, 0.3 * jaw_sign * finger_y, 0]
         _add_visual(body, "box", [0.012, 0.010, 0.017], carriage, light, gripper.finger_mass / 2)
-        for index in range(2):
-            pad = body.add_geom(name=f"{side}_{jaw}_pad_{index}", type=mujoco.mjtGeom.mjGEOM_BOX)
-            pad.size, pad.pos = [finger_x / 2, finger_y, finger_z], [finger_x * (index + 0.5), 0, 0]
-            pad.mass, pad.friction = gripper.finger_mass / 4, gripper.friction
-            _make_grasping(pad)
-            pad.solref, pad.solimp[:3], pad.rgba = [0.004, 1], [0.95, 0.99, 0.001], light if index == 0 else dark
-            pad.group = 2
+        pad = body.add_geom(name=f"{side}_{jaw}_pad", type=mujoco.mjtGeom.mjGEOM_BOX)
+        _make_grasping(pad)
+        pad.size, pad.pos, pad.mass = [finger_x, finger_y, finger_z], [finger_x, 0, 0], 0.0
+        pad.friction, pad.solref, pad.solimp[:3] = gripper.friction, [0.004, 1], [0.95, 0.99, 0.001]
+        half = [finger_x / 2, finger_y, finger_z]
+        for middle, rgba in ((finger_x / 2, light), (3 * finger_x / 2, dark)):
+            _add_visual(body, "box", half, [middle, 0, 0], rgba, gripper.finger_mass / 4)
     spec.site(f"{side}_palm").pos = [front + finger_x, 0, 0]
 
     coupling = spec.add_equality(name=f"{side}_gripper_coupling", type=mujoco.mjtEq.mjEQ_JOINT)
@@ -208,6 +208,7 @@ def _make_grasping(geom: mujoco.MjsGeom) -> None:
     """Let a geom of a hand touch the world, the other hand, trunk and legs, with friction against spinning."""
     geom.contype, geom.conaffinity = g1.ROBOT_BIT | HAND_BIT, g1.WORLD_BIT | HAND_BIT
     geom.condim, geom.priority, geom.group = 4, 1, 3
+    geom.solref = [0.005, 1]
 
 
 def _add_visual(

@@ -34,21 +34,23 @@ def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
     if kind == "gripper":
         hands.add_gripper_actuators(spec)
     _add_sensors(spec)
-    set_options(spec)
+    set_options(spec, kind)
     return spec
 
 
-def set_options(spec: mujoco.MjSpec) -> None:
+def set_options(spec: mujoco.MjSpec, kind: hands.Hands) -> None:
     """Set the options under which hands hold without creeping: elliptic cone, impratio 10, implicitfast, 500 Hz.
 
-    Without the no-slip pass a box of 1 kg between two palms creeps 0.5 to 2 mm/s and turns; with it less than
-    0.01 mm/s, for a tenth more time a step.
+    Grippers hold a cube or a bottle with 0.01 mm/s of creep. Between soft rubber palms a box of 1 kg would creep by
+    8 mm/s and turn but for the no-slip pass, with which it is 0.01 mm/s, for a quarter more time a step. Without that
+    pass sparse matrices save a sixth.
     """
     spec.option.timestep = g1.PHYSICS_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
-    spec.option.noslip_iterations = 3
+    spec.option.noslip_iterations = 3 if kind == "rubber" else 0
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
 
 
 def actuator_names(kind: hands.Hands) -> tuple[str, ...]:

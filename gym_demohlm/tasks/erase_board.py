@@ -37,8 +37,8 @@ INK_START, INK_END = ((np.array(WRITING_MIDDLE) + INK[:, end] * [-1.0, 1.0]) for
 
 
 def _build(spec: mujoco.MjSpec) -> None:
-    aim_overview(spec, (-0.65, 1.75, 1.95), (0.05, -0.05, 0.75))
     board = spec.worldbody.add_body(name="board", mocap=True, pos=BOARD_POSITION)
+    aim_overview(spec, (-1.95, 1.75, 1.85), (-0.3, 0.0, 0.67), board)
     depth, width, height = BOARD_HALF_SIZE
     middle = TRAY_HEIGHT + height
     panel = board.add_body(name="panel")  # apart from the tray, so that the force on it alone is measured
@@ -53,7 +53,7 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_picture(board, "box", [0.014, width + 0.012, 0.012], [depth, 0, middle + height], STEEL)
     add_shape(board, "tray", "box", [TRAY_DEPTH / 2, width, 0.008], [-TRAY_DEPTH / 2, 0, TRAY_HEIGHT - 0.008], STEEL)
     for index, (start, end) in enumerate(zip(INK_START, INK_END, strict=True)):
-        piece = add_picture(panel, "capsule", [0.0025], rgba=[0.10, 0.20, 0.65, 1])
+        piece = add_picture(panel, "capsule", [0.004], rgba=[0.10, 0.20, 0.65, 1])
         piece.name, piece.fromto = f"ink_{index}", [0.0, *start, 0.0, *end]
     eraser = spec.worldbody.add_body(name="eraser", pos=ERASER_POSITION)
     eraser.add_freejoint(name="eraser")

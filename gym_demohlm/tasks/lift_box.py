@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from gym_demohlm.furniture import CARDBOARD, DARK_WOOD, QUARTER_TURNS, add_shape
 from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
@@ -30,25 +31,15 @@ def _build(spec: mujoco.MjSpec) -> None:
     stand = spec.worldbody.add_body(name="stand", mocap=True, pos=[BOX_POSITION[0], BOX_POSITION[1], 0])
     # The robot meets the cylinder; the box rests on a square inside it, whose contacts with a box are steadier.
     square = STAND_RADIUS / math.sqrt(2)
-    for name, kind, size, touches in (
-        ("stand", mujoco.mjtGeom.mjGEOM_CYLINDER, [STAND_RADIUS, STAND_HEIGHT / 2, 0], ROBOT_BIT),
-        ("stand_top", mujoco.mjtGeom.mjGEOM_BOX, [square, square, STAND_HEIGHT / 2], WORLD_BIT),
+    for name, shape, half_size, touches in (
+        ("stand", "cylinder", [STAND_RADIUS, STAND_HEIGHT / 2], ROBOT_BIT),
+        ("stand_top", "box", [square, square, STAND_HEIGHT / 2], WORLD_BIT),
     ):
-        geom = stand.add_geom(name=name, type=kind, size=size, pos=[0, 0, STAND_HEIGHT / 2], rgba=[0.45, 0.38, 0.32, 1])
+        geom = add_shape(stand, name, shape, half_size, [0, 0, STAND_HEIGHT / 2], DARK_WOOD)
         geom.contype, geom.conaffinity = 0, touches
     box = spec.worldbody.add_body(name="box", pos=BOX_POSITION)
     box.add_freejoint(name="box")
-    box.add_geom(
-        name="box",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[length / 2 for length in BOX_SIZE],
-        mass=BOX_MASS,
-        contype=WORLD_BIT,
-        conaffinity=ROBOT_BIT | WORLD_BIT,
-        condim=4,
-        friction=[1.0, 0.01, 0.001],
-        rgba=[0.78, 0.57, 0.33, 1],
-    )
+    add_shape(box, "box", "box", [length / 2 for length in BOX_SIZE], rgba=CARDBOARD, mass=BOX_MASS)
 
 
 def _lifted(sim: "Worlds") -> np.ndarray:
@@ -61,7 +52,7 @@ TASK = Task(
     description="Walk to the box and lift it with both hands.",
     hands="rubber",
     build=_build,
-    objects=(ObjectSpec(name="box", position=BOX_POSITION, symmetry=(0.0, math.pi / 2, math.pi, -math.pi / 2)),),
+    objects=(ObjectSpec(name="box", position=BOX_POSITION, symmetry=QUARTER_TURNS),),
     success=_lifted,
     failures={"dropped": dropped("box", DROP)},
     gaze_target="box",

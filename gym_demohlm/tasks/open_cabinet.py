@@ -31,8 +31,8 @@ _WHITE, _INSIDE, _RED, _BLUE = (0.88, 0.87, 0.84, 1), (0.60, 0.48, 0.36, 1), (0.
 
 
 def _build(spec: mujoco.MjSpec) -> None:
-    aim_overview(spec, (-0.9, -2.2, 1.45), (0.05, 0.0, 0.6))
     cabinet = spec.worldbody.add_body(name="cabinet", mocap=True, pos=CABINET_POSITION)
+    aim_overview(spec, (-1.75, 2.2, 1.7), (-0.4, 0.05, 0.63), cabinet)
     carcass = cabinet.add_body(name="carcass")
     front, middle = -DEPTH / 2, (HEIGHT + BASE) / 2
     tall = (HEIGHT - BASE) / 2

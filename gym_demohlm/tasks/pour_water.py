@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import LIQUID_BIT, add_shape, add_table, add_vessel
+from gym_demohlm.furniture import LIQUID_BIT, add_picture, add_shape, add_table, add_vessel
 from gym_demohlm.robot.g1 import WORLD_BIT
 from gym_demohlm.task import ObjectSpec, Task
 
@@ -26,7 +26,7 @@ BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL = 0.068, 0.07, 0.010  # m
 BOTTLE_MASS, BOWL_MASS = 0.08, 0.40  # kg
 BOTTLE_POSITION = (0.37, -0.11, TABLE_HEIGHT + BOTTLE_HEIGHT / 2)
 BOWL_POSITION = (0.37, 0.12, TABLE_HEIGHT + BOWL_HEIGHT / 2)
-NUM_DROPS, DROP_RADIUS, DROP_MASS = 16, 0.007, 0.0014  # m, kg: water
+NUM_DROPS, DROP_RADIUS, DROP_MASS = 15, 0.009, 0.003  # m, kg: water
 DROPS = tuple(f"drop_{index}" for index in range(NUM_DROPS))
 NEAR = 0.10  # m, bottle to bowl seen from above
 POURED = 0.75  # of the drops
@@ -39,13 +39,14 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_vessel(spec, "bottle", BOTTLE_POSITION, BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL, BOTTLE_MASS, glass)
     add_vessel(spec, "bowl", BOWL_POSITION, BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL, BOWL_MASS, clay)
     bottom = BOTTLE_POSITION[2] - BOTTLE_HEIGHT / 2 + BOTTLE_WALL + DROP_RADIUS
-    ring = BOTTLE_RADIUS - BOTTLE_WALL - DROP_RADIUS - 0.003
+    ring = 1.02 * DROP_RADIUS / math.sin(math.pi / 3)  # three drops a layer
     for index, name in enumerate(DROPS):
-        layer, angle = index // 4, math.pi / 2 * (index % 4) + math.pi / 4 * (index // 4 % 2)
-        place = [ring * math.cos(angle), ring * math.sin(angle), 1.8 * DROP_RADIUS * layer + 1e-4]
+        layer, angle = index // 3, 2 * math.pi / 3 * (index % 3) + math.pi / 3 * (index // 3 % 2)
+        place = [ring * math.cos(angle), ring * math.sin(angle), 1.75 * DROP_RADIUS * layer + 1e-4]
         drop = spec.worldbody.add_body(name=name, pos=np.add([*BOTTLE_POSITION[:2], bottom], place))
         drop.add_freejoint(name=name)
-        geom = add_shape(drop, name, "sphere", [DROP_RADIUS], rgba=(0.25, 0.55, 0.90, 0.9), mass=DROP_MASS)
+        geom = add_shape(drop, name, "sphere", [DROP_RADIUS], rgba=(0, 0, 0, 0), mass=DROP_MASS)
+        add_picture(drop, "sphere", [1.2 * DROP_RADIUS], rgba=(0.10, 0.45, 0.95, 1.0))  # they flow together
         geom.contype, geom.conaffinity = LIQUID_BIT | WORLD_BIT, LIQUID_BIT
         geom.condim, geom.priority = 1, 2  # water does not stick: no friction, at a third of the cost of a little
 

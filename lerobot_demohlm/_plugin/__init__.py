@@ -3,3 +3,7 @@
 import lerobot_demohlm
 
 lerobot_demohlm.register()
+
+from lerobot_demohlm import loading  # noqa: E402  the environments are known even where this fails
+
+loading.install()

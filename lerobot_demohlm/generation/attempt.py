@@ -4,6 +4,8 @@ Attempts run side by side as worlds of one simulation, in lockstep; a world has 
 """
 
 import copy
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -13,10 +15,13 @@ from gym_demohlm import observation
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.simulation import STEP_DT, Simulation
 from gym_demohlm.task import InitialState, Task
+from gym_demohlm.worlds import FALLEN_HEIGHT, FALLEN_TILT
 from lerobot_demohlm.dataset import OUTCOMES, Episode
 from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.fingerprint import Trail
 from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.playback import Playback
+from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
 from lerobot_demohlm.generation.world import World
 from lerobot_demohlm.segmentation import Segment, segment
@@ -32,21 +37,61 @@ def initial_state(task: Task, region: str, seed: int, index: int) -> InitialStat
     return task.sample(region, np.random.default_rng([GENERATION_STREAM, seed, index]))
 
 
+def held(success: Sequence[bool] | np.ndarray) -> bool:
+    """Return whether a success condition, by step, has held for the last second: then the attempt is a success."""
+    last = success[-HELD_TICKS:]
+    return len(last) == HELD_TICKS and bool(np.all(last))
+
+
 @dataclass
-class _Running:
-    """An attempt under way."""
+class Running:
+    """An attempt under way; its lists have an entry for every step made.
+
+    Attributes:
+        index: Of the attempt.
+        start: Its initial state.
+        world: Where it runs.
+        commands: What is left of its commands.
+        placement: Where it decided to stand; None before.
+        playback: What moves the hands, once the robot stands there.
+        stage: It is in.
+        outcome: How it ended; None before.
+        reason: The same in words; empty for a success.
+        retries: How often it began again after a stage that failed.
+        collision_ticks: Steps in a row in which the robot pressed on an obstacle.
+        trail: Fingerprints of its world.
+        state: (68,) before each step.
+        environment_state: (9k,) before each step.
+        action: (23,) as applied.
+        success: Whether the task's condition held after each step.
+        stages: Stage of each step.
+        contact_forces: (5, pairs) of each step [N].
+        collision_forces: (5,) of each step [N].
+    """
 
     index: int
     start: InitialState
     world: World
     commands: Iterator[np.ndarray] = field(default_factory=lambda: iter(()))
+    placement: Placement | None = None
+    playback: Playback | None = None
     stage: str = stages.LOCOMOTION
     outcome: str | None = None
+    reason: str = ""
+    retries: int = 0
     collision_ticks: int = 0
+    trail: Trail = field(default_factory=Trail)
     state: list[np.ndarray] = field(default_factory=list)
     environment_state: list[np.ndarray] = field(default_factory=list)
     action: list[np.ndarray] = field(default_factory=list)
     success: list[bool] = field(default_factory=list)
+    stages: list[str] = field(default_factory=list)
+    contact_forces: list[np.ndarray] = field(default_factory=list)
+    collision_forces: list[np.ndarray] = field(default_factory=list)
+
+    def end(self, outcome: str, reason: str = "") -> None:
+        """Note how the attempt ended."""
+        self.outcome, self.reason = outcome, reason
 
 
 class Attempts:
@@ -60,6 +105,8 @@ class Attempts:
         num_worlds: Most attempts at once.
         settings: Gains, limits and times.
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
+        on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
+        sim: Where they run, for watchers; a new one with num_worlds by default. It is closed with the attempts.
     """
 
     def __init__(
@@ -71,12 +118,15 @@ class Attempts:
         num_worlds: int = 1,
         settings: Settings | None = None,
         on_step: Callable[[Simulation], None] | None = None,
+        on_command: Callable[[Running, np.ndarray], None] | None = None,
+        sim: Simulation | None = None,
     ) -> None:
         self._on_step = on_step or (lambda _: None)
+        self._on_command = on_command or (lambda _attempt, _command: None)
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration)
-        self._sim = Simulation(task, num_worlds=num_worlds)
+        self._sim = sim or Simulation(task, num_worlds=num_worlds)
         self._ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
 
@@ -98,16 +148,18 @@ class Attempts:
         sim.reset(starts, np.arange(len(indices)))
         self._on_step(sim)
         running = [
-            _Running(index=index, start=start, world=World(sim=sim, index=world, ik=self._ik))
+            Running(index=index, start=start, world=World(sim=sim, index=world, ik=self._ik))
             for world, (index, start) in enumerate(zip(indices, starts, strict=True))
         ]
+        before = sim.snapshot()
         for attempt in running:
             attempt.commands = self._commands(attempt)
+            attempt.trail.add(before, attempt.world.index)
         while any(attempt.outcome is None for attempt in running):
             self._step(running)
         return [self._episode(attempt) for attempt in running]
 
-    def _step(self, running: list[_Running]) -> None:
+    def _step(self, running: list[Running]) -> None:
         """Ask every attempt for a command, make one step of all worlds, and judge them."""
         sim = self._sim
         commands, active = sim.command, np.zeros(sim.num_worlds, dtype=bool)
@@ -122,7 +174,7 @@ class Attempts:
         state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
         result = sim.step(commands, active)
         self._on_step(sim)
-        success, fallen, failures = sim.success(), sim.fallen(), sim.failures()
+        success, fallen, failures, after = sim.success(), sim.fallen(), sim.failures(), sim.snapshot()
         for attempt in running:
             world = attempt.world.index
             if not active[world]:
@@ -131,46 +183,79 @@ class Attempts:
             attempt.environment_state.append(environment_state[world])
             attempt.action.append(commands[world].astype(np.float32))
             attempt.success.append(bool(success[world]))
+            attempt.stages.append(attempt.stage)
+            attempt.contact_forces.append(result.contact_forces[world])
+            attempt.collision_forces.append(result.collision_forces[world])
+            attempt.trail.add(after, world, attempt.action[-1])
             struck = result.collision_forces[world].max() > COLLISION_N
             attempt.collision_ticks = attempt.collision_ticks + 1 if struck else 0
+            failed = [name for name, happened in failures.items() if happened[world]]
             if fallen[world] or result.unstable[world]:
-                attempt.outcome = "fell"
+                attempt.end("fell", _fall(attempt.world, bool(result.unstable[world])))
             elif attempt.collision_ticks >= COLLISION_TICKS:
-                attempt.outcome = "collided"
-            else:
-                failed = [name for name, happened in failures.items() if happened[world]]
-                if failed:
-                    attempt.outcome = _failure_outcome(attempt, failed[0])
-            if attempt.outcome is None and len(attempt.action) >= self._num_ticks:
-                attempt.outcome = self._final_outcome(attempt)
+                force = result.collision_forces[world].max()
+                attempt.end(
+                    "collided",
+                    f"the robot pressed on an obstacle with {force:.0f} N, and with more than {COLLISION_N:g} N for "
+                    f"{COLLISION_TICKS * STEP_DT:.1f} s",
+                )
+            elif failed:
+                attempt.end(*_failure(attempt, failed[0]))
+            elif len(attempt.action) >= self._num_ticks * (1 + attempt.retries):
+                limit_s = self.task.episode_length_s * (1 + attempt.retries)
+                self._judge(attempt, f"the time limit of {limit_s:g} s was reached")
 
-    def _next_command(self, attempt: _Running) -> np.ndarray | None:
+    def _next_command(self, attempt: Running) -> np.ndarray | None:
         if attempt.outcome is not None:
             return None
         try:
-            return next(attempt.commands)
+            wanted = next(attempt.commands)
         except StopIteration:
-            attempt.outcome = self._final_outcome(attempt)
+            self._judge(attempt, "the motion was over")
         except StageError as failure:
-            attempt.outcome = failure.outcome
+            attempt.end(failure.outcome, failure.reason)
+        else:
+            self._on_command(attempt, wanted)
+            return wanted
         return None
 
-    def _commands(self, attempt: _Running) -> Iterator[np.ndarray]:
-        """Go through the stages of one attempt."""
+    def _commands(self, attempt: Running) -> Iterator[np.ndarray]:
+        """Go through the stages of one attempt, as often as it may."""
+        while True:
+            try:
+                yield from self._try(attempt)
+                return
+            except StageError as failure:
+                if not failure.again or attempt.retries == self.settings.retries:
+                    raise
+            attempt.retries += 1
+            if attempt.playback is not None:
+                yield from attempt.playback.withdraw(self.settings.retreat)
+            attempt.playback, attempt.stage = None, stages.LOCOMOTION
+            yield from stages.step_back(attempt.world, self.settings.retreat)
+
+    def _try(self, attempt: Running) -> Iterator[np.ndarray]:
+        """Go through the stages once, from where things are."""
         world, demonstration = attempt.world, self.demonstration
         placement = stages.choose_placement(world, self.task, demonstration, self._segments)
+        attempt.placement = placement
         yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
         playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)
+        attempt.playback, attempt.stage = playback, playback.stage
         for wanted in playback.run():
             attempt.stage = playback.stage
             yield wanted
 
-    def _final_outcome(self, attempt: _Running) -> str:
+    def _judge(self, attempt: Running, why: str) -> None:
         """Judge an attempt whose motion or time is over."""
-        held = attempt.success[-HELD_TICKS:]
-        return "success" if len(held) == HELD_TICKS and all(held) else "timeout"
+        if held(attempt.success):
+            attempt.end("success")
+            return
+        steps = sum(attempt.success)
+        seen = f"held for {steps * STEP_DT:.1f} s, but not throughout the last second" if steps else "never held"
+        attempt.end("timeout", f"{why} and the success condition {seen}")
 
-    def _episode(self, attempt: _Running) -> Episode:
+    def _episode(self, attempt: Running) -> Episode:
         assert attempt.outcome is not None  # run together ends when all have one
         length = len(attempt.action)
         width = len(observation.environment_names(self.task))
@@ -192,14 +277,32 @@ class Attempts:
             success=np.array(attempt.success, dtype=bool),
             initial_state=copy.deepcopy(attempt.start),
             length_s=length * STEP_DT,
+            reason=attempt.reason,
+            stage_ticks=dict(Counter(attempt.stages)),
+            fingerprints=attempt.trail.rows,
+            digest=attempt.trail.digest,
+            retries=attempt.retries,
         )
 
 
-def _failure_outcome(attempt: _Running, name: str) -> str:
-    """Return the outcome that a task's failure predicate stands for; before the hands take hold, it was run into."""
+def _failure(attempt: Running, name: str) -> tuple[str, str]:
+    """Return outcome and reason that a task's failure predicate stands for; before the hands take hold, it was hit."""
+    reason = f"the task's failure condition {name!r} held"
     if attempt.stage != stages.MANIPULATION:
-        return "collided"
-    return name if name in OUTCOMES else "dropped"
+        return "collided", f"{reason} before the hands had taken hold: something was run into"
+    return (name if name in OUTCOMES else "dropped"), reason
+
+
+def _fall(world: World, unstable: bool) -> str:
+    """Say in words why a robot counts as fallen."""
+    if unstable:
+        return "the physics broke down: speeds beyond all bounds"
+    pelvis = world.pose("pelvis")
+    tilt = math.degrees(math.acos(float(np.clip(pelvis[2, 2], -1.0, 1.0))))
+    return (
+        f"the robot fell: pelvis {pelvis[2, 3]:.2f} m high and tilted by {tilt:.0f} deg (fallen is below "
+        f"{FALLEN_HEIGHT:g} m or beyond {math.degrees(FALLEN_TILT):.0f} deg)"
+    )
 
 
 def attempt(task: Task, demonstration: Demonstration, region: str, seed: int, index: int) -> Episode:

@@ -1,6 +1,7 @@
 """A demonstration and one world -> the commands of pre-manipulation and manipulation, by inverse kinematics."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,9 +12,31 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.base_path import BasePath
-from lerobot_demohlm.generation.stages import MANIPULATION, PRE_MANIPULATION, Settings, StageError, first_approach
+from lerobot_demohlm.generation.stages import (
+    MANIPULATION,
+    PRE_MANIPULATION,
+    RetreatSettings,
+    Settings,
+    StageError,
+    first_approach,
+)
 from lerobot_demohlm.generation.world import World
 from lerobot_demohlm.segmentation import TOGETHER_TICKS, Segment, gripper_events, groups
+
+
+@dataclass(frozen=True, kw_only=True)
+class Started:
+    """Segments that have begun together, and between which frames their motion is carried over.
+
+    Attributes:
+        group: The segments.
+        frames_then: (hands, 4, 4) in the demonstration: the object, or the anchors.
+        frames_now: (hands, 4, 4) here: the object with its symmetry applied, or the anchors.
+    """
+
+    group: tuple[Segment, ...]
+    frames_then: np.ndarray
+    frames_now: np.ndarray
 
 
 class Playback:
@@ -29,6 +52,12 @@ class Playback:
 
     Attributes:
         stage: "pre_manipulation" or "manipulation".
+        tick: Of the demonstration, which the last command was for.
+        activity: What that command did: "follow" the demonstration, "transit" to its first pose, "settle" a gripper,
+            "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a failure.
+        last_targets: (2, 4, 4) poses of the palms that it aimed at.
+        error: (2,) what inverse kinematics left of the way to them [m].
+        started: Segments that have begun, in the order of time.
     """
 
     def __init__(
@@ -42,14 +71,16 @@ class Playback:
     ) -> None:
         self.world, self.task, self.demonstration = world, task, demonstration
         self.settings, self.grip = settings.playback, settings.grip
-        self.stage = PRE_MANIPULATION
+        self.stage, self.tick, self.activity = PRE_MANIPULATION, 0, "transit"
+        self.started: list[Started] = []
         self._names = [entry.name for entry in task.objects]
         self._groups = groups(segments)
         self._symmetries = {first_approach(segments).object: symmetry}
         self._tracks = {hand: [entry for entry in segments if entry.hand == hand] for hand in g1.SIDES}
         self._targets = np.tile(np.eye(4), (len(demonstration), len(g1.SIDES), 1, 1))
-        self._last = world.hands()  # where the hands are stands in for the first commanded target
-        self._trailing = 0
+        self.last_targets = world.hands()  # where the hands are stands in for the first commanded target
+        self.error, self._trailing = np.zeros(len(g1.SIDES)), 0
+        self._way = [self.last_targets]  # of the hands so far
         self._motions: dict[int, np.ndarray] = {}  # of hands that follow an object: from the demonstrated scene to this
         self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
@@ -73,14 +104,23 @@ class Playback:
                 self.stage = MANIPULATION
             self._follow_base(tick)
             self._steer(tick)
+            self.activity = "follow"
             yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self.world.pose("pelvis")))
             if self._base_path.ends(tick):
                 yield from self._walk_on(tick)
             if closing:
                 yield from self._verify_grip(tick, closing)
         last = self.world.command()
+        self.activity = "hold"
         for _ in range(self.settings.final_ticks):
             yield last
+
+    def withdraw(self, settings: RetreatSettings) -> Iterator[np.ndarray]:
+        """Yield commands that open the grippers and take the hands back the way they came."""
+        self.stage, self.activity = PRE_MANIPULATION, "withdraw"
+        back = self._way[::-1]
+        for targets in [*back[:1] * settings.release_ticks, *back[:: settings.speed], back[-1]]:
+            yield self._command(targets, 0)
 
     def _start(self, group: tuple[Segment, ...]) -> None:
         """Fill in the targets of segments that begin together."""
@@ -94,6 +134,7 @@ class Playback:
             T_W_O = self.world.pose(first.object)
             symmetry = self._symmetry(first.object, T_W_Od, T_W_O, first.start)
             targets = retarget.object_targets(demonstrated, T_W_Od, T_W_O, symmetry)
+            self._note(group, T_W_Od, T_W_O @ symmetry)
             motion = retarget.scene_motion(T_W_Od, T_W_O, symmetry)
             self._motions |= dict.fromkeys(hands, motion)
             self._shift[hands] = 0.0
@@ -105,21 +146,24 @@ class Playback:
             T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[first.start], self.world.pose("pelvis")
             if first.anchor == "base":
                 carried = retarget.carried_targets(last_d, T_W_Rd, T_W_R)
-                self._held_on_base[hands] = poses.invert(carried) @ self._last[hands]
+                self._held_on_base[hands] = poses.invert(carried) @ self.last_targets[hands]
+                self._note(group, T_W_Rd, T_W_R)
                 return  # these targets are found tick by tick
             if first.start == 0:  # a hand that follows the robot from the beginning keeps its place on it
                 last = retarget.object_targets(last_d, poses.heading(T_W_Rd), poses.heading(T_W_R), np.eye(4))
             else:
-                last = self._last[hands]
-            targets = retarget.anchored_targets(
-                demonstrated,
-                last_d,
-                last,
-                retarget.anchor_pose(first.anchor, last_d, T_W_Rd),
-                retarget.anchor_pose(first.anchor, last, T_W_R),
-            )
+                last = self.last_targets[hands]
+            anchors_d = retarget.anchor_pose(first.anchor, last_d, T_W_Rd)
+            anchors = retarget.anchor_pose(first.anchor, last, T_W_R)
+            targets = retarget.anchored_targets(demonstrated, last_d, last, anchors_d, anchors)
+            self._note(group, anchors_d, anchors)
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
             self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
+
+    def _note(self, group: tuple[Segment, ...], then: np.ndarray, now: np.ndarray) -> None:
+        shape = (len(group), 4, 4)
+        frames_then, frames_now = (np.broadcast_to(frame, shape).copy() for frame in (then, now))
+        self.started.append(Started(group=group, frames_then=frames_then, frames_now=frames_now))
 
     def _steer(self, tick: int) -> None:
         """Move the targets of hands that follow an object by what they measurably miss: arms sag as they are held."""
@@ -142,6 +186,7 @@ class Playback:
 
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
         """Walk what is left of a walk that ends with this tick."""
+        self.activity = "walk on"
         for _ in range(self.settings.arrive_ticks):
             velocity = self._base_path.remaining_velocity(tick, self.world.pose("pelvis"))
             if velocity is None:
@@ -166,13 +211,14 @@ class Playback:
                 motion = retarget.scene_motion(T_W_Od, T_W_O, self._symmetry(entry.object, T_W_Od, T_W_O, tick))
                 hand = g1.SIDES.index(side)
                 wanted[hand] = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3]
-        planned = self._last.copy()
+        planned = self.last_targets.copy()
+        self.activity = "settle"
         for _ in range(self.grip.settle_ticks):
             measured = self.world.hands()
             errors = {hand: position - measured[hand, :3, 3] for hand, position in wanted.items()}
             if all(float(np.linalg.norm(error)) < self.grip.settle_m for error in errors.values()):
                 return
-            targets = self._last.copy()
+            targets = self.last_targets.copy()
             for hand, error in errors.items():
                 moved = targets[hand, :3, 3] + self.grip.gain * error - planned[hand, :3, 3]
                 length = max(float(np.linalg.norm(moved)), 1e-9)
@@ -187,11 +233,19 @@ class Playback:
             entry = self._approached(tick, side)
             if entry is not None and (side, entry.object) in self.task.contact_pairs:
                 pairs.append((side, str(entry.object)))
+        self.activity = "grip"
         for _ in range(self.grip.grip_ticks):
             if all(self.world.contact_force(*pair) >= self.grip.grip_n for pair in pairs):
                 return
             yield self._command(self._targets[tick], tick)
-        raise StageError("dropped")
+        forces = {pair: self.world.contact_force(*pair) for pair in pairs}
+        (side, name), force = min(forces.items(), key=lambda item: item[1])
+        raise StageError(
+            "dropped",
+            f"the {side} gripper closed but pressed on the {name} with {force:.1f} N only (a grip is "
+            f"{self.grip.grip_n:g} N): it missed",
+            again=tick == min(self._closing),
+        )
 
     def _symmetry(self, name: str, T_W_Od: np.ndarray, T_W_O: np.ndarray, tick: int) -> np.ndarray:
         if name not in self._symmetries:
@@ -206,9 +260,10 @@ class Playback:
 
     def _transit(self, tick: int) -> Iterator[np.ndarray]:
         """Bring the hands from where they are commanded, at first from where they are, to this tick's targets."""
-        distance = np.linalg.norm(self._targets[tick, :, :3, 3] - self._last[:, :3, 3], axis=-1).max()
+        self.activity = "transit"
+        distance = np.linalg.norm(self._targets[tick, :, :3, 3] - self.last_targets[:, :3, 3], axis=-1).max()
         ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
-        for targets in retarget.transit(self._last, self._targets[tick], ticks):
+        for targets in retarget.transit(self.last_targets, self._targets[tick], ticks):
             yield self._command(targets, tick)
 
     def _touching(self, tick: int) -> bool:
@@ -226,15 +281,21 @@ class Playback:
             T_world_right=targets[1],
             previous=self.world.command(),
         )
-        self._last = targets
-        self._error = solution.position_error
-        self._trailing = self._trailing + 1 if self._error.max() > self.settings.hold_error_m else 0
+        self.last_targets, self.tick = targets, tick
+        self._way.append(targets)
+        self.error = solution.position_error
+        self._trailing = self._trailing + 1 if self.error.max() > self.settings.hold_error_m else 0
         if self.stage == MANIPULATION and self._trailing >= self.settings.hold_ticks:
-            raise StageError("ik_failed")
+            raise StageError("ik_failed", self._out_of_reach(self.settings.hold_error_m, "while it holds on"))
         if self.stage == PRE_MANIPULATION:
             for name in self._names:
-                if self.world.object_displacement(name) > self.settings.displaced_m:
-                    raise StageError("collided")
+                moved = self.world.object_displacement(name)
+                if moved > self.settings.displaced_m:
+                    raise StageError(
+                        "collided",
+                        f"the {name} was pushed {moved:.3f} m away before the hands took it (at most "
+                        f"{self.settings.displaced_m:g} m)",
+                    )
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
         if velocity is not None and velocity.any():
@@ -244,8 +305,16 @@ class Playback:
         return result
 
     def _check_reached(self) -> None:
-        if self._error.max() > self.settings.reach_error_m:
-            raise StageError("ik_failed")
+        if self.error.max() > self.settings.reach_error_m:
+            reason = self._out_of_reach(self.settings.reach_error_m, "when it was to take hold")
+            raise StageError("ik_failed", reason, again=True)
+
+    def _out_of_reach(self, limit_m: float, when: str) -> str:
+        hand = int(self.error.argmax())
+        return (
+            f"inverse kinematics brings the {g1.SIDES[hand]} palm no nearer to its target than "
+            f"{self.error[hand]:.3f} m {when} (at most {limit_m:g} m)"
+        )
 
 
 def _by_tick(found: Sequence[tuple[int, str]]) -> dict[int, list[str]]:

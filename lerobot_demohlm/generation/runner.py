@@ -1,23 +1,21 @@
-"""What to generate -> worker processes that make blocks of attempts -> one dataset, the same whatever their number.
+"""What to generate -> workers that make blocks of attempts -> one dataset, the same whatever their number and place.
 
 A block of consecutive attempts is made by one worker as worlds of one simulation and appears on disk by one rename; the
-blocks on disk are the only memory of a run. So a run may be killed at any time, and the same call resumes it.
+blocks on disk are the only memory of a run. So a run may be killed at any time, and the same call resumes it; a worker
+may be killed, and another makes its block again.
 """
 
 import argparse
+import functools
 import importlib
 import json
-import multiprocessing
-import os
-import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from tqdm import tqdm
 
@@ -26,13 +24,18 @@ from gym_demohlm.scene import build_scene
 from gym_demohlm.task import get_task
 from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm import provenance
-from lerobot_demohlm.dataset import GenerationFacts, count_outcomes
+from lerobot_demohlm.dataset import GenerationFacts, installed_versions
 from lerobot_demohlm.demonstration import Demonstration
-from lerobot_demohlm.generation_run import GenerationRun, write_block
+from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.stages import Settings
+from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
+from lerobot_demohlm.generation_block import write_block
+from lerobot_demohlm.generation_run import GenerationRun
 from lerobot_demohlm.segmentation import segment
 
 BLOCK_SIZE = 8  # attempts a block: worlds side by side, and what a kill can lose of each worker
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+MAX_DEATHS = 3  # of workers at one block, before the run gives up
+Backend = Literal["processes", "ray"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +49,14 @@ class GenerationRequest:
         root: Directory of the dataset; must not exist.
         num_episodes: Stop at this many successes; or
         num_attempts: make exactly this many attempts.
-        num_workers: Processes.
+        num_workers: Blocks at a time.
+        backend: Who makes them: processes of this machine, or a Ray cluster.
+        resume: Refuse to begin a run: there must be one to go on with. Without it, too, the same request goes on.
         demonstration: Directory of the demonstration; the packaged one by default.
         repo_id: Name of the dataset on the hub.
         keep_failures: Write failed attempts to a second dataset beside it.
         block_size: Attempts a block.
+        retries: How often an attempt may begin again after a stage that failed.
         show_progress: Draw a progress bar on stderr.
     """
 
@@ -61,10 +67,13 @@ class GenerationRequest:
     num_episodes: int | None = None
     num_attempts: int | None = None
     num_workers: int = 1
+    backend: Backend = "processes"
+    resume: bool = False
     demonstration: Path | None = None
     repo_id: str | None = None
     keep_failures: bool = False
     block_size: int = BLOCK_SIZE
+    retries: int = 0
     show_progress: bool = True
 
 
@@ -80,6 +89,8 @@ class GenerationSummary:
         successes: Episodes in the dataset.
         success_rate: successes / attempts.
         outcomes: Attempts by outcome.
+        retries: How often an attempt might begin again.
+        first_try_successes: Successes that did not: those that there would have been without retries.
         episodes_per_hour: Successes an hour of this call; blocks that were on disk before it are not counted.
     """
 
@@ -90,6 +101,8 @@ class GenerationSummary:
     successes: int
     success_rate: float
     outcomes: dict[str, int]
+    retries: int
+    first_try_successes: int
     episodes_per_hour: float
 
 
@@ -99,14 +112,16 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     Raises:
         UnknownNameError: No such task or region.
         DemonstrationError: The demonstration cannot be read, is of another task or version, or touches nothing.
-        DatasetError: The root exists, a run with other arguments was begun there, or no attempt succeeded.
+        DatasetError: The root exists or cannot be written, a run with other arguments was begun there, another process
+            is at work there, or no attempt succeeded.
+        KeyboardInterrupt: Stopped from the keyboard; it says what is kept.
     """
     task = get_task(request.task)
     task.region(request.region)
-    if request.num_workers < 1 or request.seed < 0:
+    if request.num_workers < 1 or request.seed < 0 or request.retries < 0:
         raise DatasetError(
-            f"num_workers={request.num_workers}, seed={request.seed}",
-            "at least 1 worker and a seed of 0 or more",
+            f"num_workers={request.num_workers}, seed={request.seed}, retries={request.retries}",
+            "at least 1 worker, a seed and retries of 0 or more",
             "change them",
         )
     demonstration = demonstrations.load(request.demonstration, task)
@@ -123,73 +138,109 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         num_attempts=request.num_attempts,
         block_size=request.block_size,
         keep_failures=request.keep_failures,
+        retries=request.retries,
     )
     repo_id = request.repo_id or f"demohlm/{provenance.file_name(task)}_{request.region.lower()}"
-    run = GenerationRun.open(Path(request.root), repo_id, facts)
-    began, found = time.monotonic(), _successes(run.all_records())
-    _make_blocks(run, request, demonstration)
-    made = _successes(run.all_records()) - found
-    elapsed = time.monotonic() - began
-    content = run.finish()
-    kept = ("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes")
+    run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
+    try:
+        began, found = time.monotonic(), run.num_successes
+        if not run.target_met():
+            maker = BlockMaker(facts=facts, demonstration=demonstration, task_module=task.module)
+            with closing(_workers(maker, run, request)) as workers, _Progress(run, request.show_progress) as progress:
+                make_blocks(run, workers, progress.update)
+        made, elapsed = run.num_successes - found, time.monotonic() - began
+        content = run.finish()
+    except KeyboardInterrupt:
+        kept = f"{run.num_attempts} attempts are kept in {run.directory}"
+        raise KeyboardInterrupt(f"{kept}; the same command goes on from there") from None
+    finally:
+        run.close()
+    kept = (
+        *("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes"),
+        *("retries", "first_try_successes"),
+    )
     return GenerationSummary(
         **{key: content[key] for key in kept},
         episodes_per_hour=round(3600.0 * made / elapsed, 1),
     )
 
 
-def _successes(records: list[dict[str, Any]]) -> int:
-    return count_outcomes(records)["success"]
+def make_blocks(run: GenerationRun, workers: Workers, report: Callable[[], None] = lambda: None) -> None:
+    """Keep the workers busy until the target is met; a block whose worker dies is given to another.
+
+    Args:
+        run: Where blocks are missing.
+        workers: Who make them.
+        report: Called after each block.
+
+    Raises:
+        DemoHLMError: Workers keep dying at one block, or one could not make it.
+    """
+    pending, again, deaths = run.pending_blocks(), deque[range](), Counter[range]()
+    while not run.target_met():
+        while workers.free > 0:
+            attempts = again.popleft() if again else next(pending, None)
+            if attempts is None:
+                break
+            workers.submit(attempts)
+        for block in workers.wait():
+            if run.is_done(block.attempts):
+                report()
+                continue
+            deaths[block.attempts] += 1
+            if deaths[block.attempts] == MAX_DEATHS:
+                first, last = block.attempts.start, block.attempts.stop - 1
+                raise DemoHLMError(
+                    f"{MAX_DEATHS} workers that died at attempts {first} to {last}, the last one "
+                    f"{block.death or 'after its block, which cannot be read'}",
+                    "workers that finish",
+                    "give them more memory or start fewer of them; the same command goes on",
+                )
+            again.append(block.attempts)
 
 
-def _make_blocks(run: GenerationRun, request: GenerationRequest, demonstration: Demonstration) -> None:
-    """Keep the workers busy until the target is met."""
-    if next(run.pending_blocks(), None) is None:
-        return
-    pending = run.pending_blocks()
-    with _pool(run, request, demonstration) as pool, _Progress(run, request.show_progress) as progress:
-        working: set[Future[None]] = set()
-        exhausted = False
-        while True:
-            while not exhausted and len(working) < request.num_workers:
-                attempts = next(pending, None)
-                exhausted = attempts is None
-                if attempts is not None:
-                    working.add(pool.submit(_make_block, attempts))
-            if not working:
-                return
-            done, working = wait(working, return_when=FIRST_COMPLETED)
-            for future in done:
-                future.result()
-            progress.update()
+@dataclass(frozen=True, kw_only=True)
+class BlockMaker:
+    """Makes blocks of a run in a worker, which need not be of this machine.
+
+    Attributes:
+        facts: Of the run.
+        demonstration: Of its task.
+        task_module: Which registers the task.
+    """
+
+    facts: GenerationFacts
+    demonstration: Demonstration
+    task_module: str
+
+    def __call__(self, directory: Path, attempts: range) -> None:
+        """Make attempts and write their block into a run's directory."""
+        write_block(directory, self.facts, attempts, self._attempts.run(attempts))
+
+    @functools.cached_property
+    def _attempts(self) -> Attempts:
+        found, expected = installed_versions(), self.facts.versions
+        different = [name for name in expected if found.get(name) != expected[name]]
+        if different:
+            name = different[0]
+            raise DatasetError(
+                f"a worker with {name} {found.get(name)}",
+                f"{name} {expected[name]}, as where the run was begun: other bits would come of it",
+                "install the same on all machines, and use one family of processors",
+            )
+        importlib.import_module(self.task_module)
+        facts, settings = self.facts, Settings(retries=self.facts.retries)
+        return Attempts(get_task(facts.task), self.demonstration, facts.region, facts.seed, facts.block_size, settings)
 
 
-@contextmanager
-def _pool(
-    run: GenerationRun, request: GenerationRequest, demonstration: Demonstration
-) -> Iterator[ProcessPoolExecutor]:
-    """Start worker processes with one thread each; they end with this process, however it ends."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # spawned workers read it when they import NumPy
-    pool = ProcessPoolExecutor(
-        max_workers=request.num_workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(run.directory, run.facts, demonstration, get_task(run.facts.task).module),
-    )
+def _workers(maker: BlockMaker, run: GenerationRun, request: GenerationRequest) -> Workers:
+    if request.backend == "processes":
+        return ProcessWorkers(maker, run.directory, request.num_workers)
     try:
-        yield pool
-    except BrokenProcessPool as error:
-        raise DemoHLMError(
-            "a worker that was killed", "workers that finish", "run the same command again: it resumes"
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        from lerobot_demohlm.generation.ray_workers import RayWorkers
+    except ModuleNotFoundError as error:
+        raise DemoHLMError("an installation without ray", "the extra [ray]", "uv sync --extra ray") from error
+    return RayWorkers(maker, run.directory, request.num_workers)
 
 
 class _Progress:
@@ -209,48 +260,22 @@ class _Progress:
         self.update()
 
     def _count(self) -> int:
-        records = self._run.all_records()
-        return _successes(records) if self._counts_episodes else len(records)
+        count = self._run.num_successes if self._counts_episodes else self._run.num_attempts
+        return min(count, int(self._bar.total))
 
     def update(self) -> None:
-        """Count what is on disk."""
-        records = self._run.all_records()
-        if records:
-            self._bar.set_postfix_str(f"success {_successes(records) / len(records):.1%}", refresh=False)
-        total = self._bar.total or 0
-        self._bar.update(min(self._count(), total) - self._bar.n)
+        """Count what is on disk and draw, whatever the clock on the wall says of the time since the last drawing."""
+        attempts = self._run.num_attempts
+        if attempts:
+            self._bar.set_postfix_str(f"success {self._run.num_successes / attempts:.1%}", refresh=False)
+        self._bar.n = self._count()
+        self._bar.refresh()
 
     def __enter__(self) -> "_Progress":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
-
-
-# In a worker
-
-_worker: dict[str, Any] = {}
-
-
-def _start_worker(directory: Path, facts: GenerationFacts, demonstration: Demonstration, task_module: str) -> None:
-    from lerobot_demohlm.generation.attempt import Attempts
-
-    importlib.import_module(task_module)  # registers a task from outside the package here too
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    attempts = Attempts(get_task(facts.task), demonstration, facts.region, facts.seed, num_worlds=facts.block_size)
-    _worker.update(directory=directory, facts=facts, attempts=attempts)
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _make_block(attempts: range) -> None:
-    episodes = _worker["attempts"].run(attempts)
-    write_block(_worker["directory"], _worker["facts"], attempts, episodes)
 
 
 def summary_json(summary: GenerationSummary) -> dict[str, Any]:
@@ -267,11 +292,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     target = parser.add_mutually_exclusive_group(required=True)
     target.add_argument("--num-episodes", type=int, help="stop at this many successful episodes")
     target.add_argument("--num-attempts", type=int, help="make this many attempts, successful or not")
-    parser.add_argument("--num-workers", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--num-workers", type=int, default=1, help="blocks at a time (default: %(default)s)")
+    parser.add_argument(
+        "--backend",
+        choices=get_args(Backend),
+        default="processes",
+        help="who makes them: processes of this machine, or a Ray cluster (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="refuse to begin: go on with what was begun at ROOT; without it, too, the same command goes on",
+    )
     parser.add_argument("--root", type=Path, required=True, help="directory of the dataset; must not exist")
     parser.add_argument("--repo-id", help="name on the hub, user/name (default: made from task and region)")
     parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
     parser.add_argument("--keep-failures", action="store_true", help="write failed attempts to ROOT-failures")
+    parser.add_argument(
+        "--retries",
+        type=int,
+        default=0,
+        help="times that an attempt may walk back and begin again after a missed goal or grip (default: %(default)s)",
+    )
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -284,8 +326,11 @@ def main(arguments: argparse.Namespace) -> None:
         num_episodes=arguments.num_episodes,
         num_attempts=arguments.num_attempts,
         num_workers=arguments.num_workers,
+        backend=arguments.backend,
+        resume=arguments.resume,
         demonstration=arguments.demonstration,
         repo_id=arguments.repo_id,
         keep_failures=arguments.keep_failures,
+        retries=arguments.retries,
     )
     print(json.dumps(summary_json(generate(request))))

@@ -4,11 +4,14 @@ A stage is a Python generator: it looks at its world, yields one command, and is
 step. So stages of many worlds run side by side in one simulation. A stage that cannot go on raises ``StageError``.
 """
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from gym_demohlm import poses
+from gym_demohlm.control import command
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation import retarget
@@ -82,9 +85,33 @@ class GripSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
-    """All of the above."""
+class RetreatSettings:
+    """What a robot does between a stage that has failed and the next try.
 
+    Attributes:
+        release_ticks: To open the grippers.
+        speed: Of the hands on their way back, in that of their way there.
+        rest_ticks: To let the arms down from where the hands began.
+        back_m: Distance that the base then steps back.
+    """
+
+    release_ticks: int = 5
+    speed: int = 2
+    rest_ticks: int = 10
+    back_m: float = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """All of the above.
+
+    Attributes:
+        retries: How often an attempt may begin again where the walk has missed its goal, the hands could not reach the
+            object, or a gripper has closed beside it; each try has the task's whole time limit.
+    """
+
+    retries: int = 0
+    retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
@@ -95,11 +122,13 @@ class StageError(Exception):
 
     Args:
         outcome: One of the outcomes of an attempt.
+        reason: The same in words, with the numbers that it was judged by.
+        again: Whether nothing has been taken hold of yet, so that it may be tried again from where things are.
     """
 
-    def __init__(self, outcome: str) -> None:
-        super().__init__(outcome)
-        self.outcome = outcome
+    def __init__(self, outcome: str, reason: str, again: bool = False) -> None:
+        super().__init__(outcome, reason, again)
+        self.outcome, self.reason, self.again = outcome, reason, again
 
 
 def first_approach(segments: Sequence[Segment]) -> Segment:
@@ -137,4 +166,21 @@ def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> 
     try:
         yield from walk(lambda: world.pose("pelvis"), goal, settings)
     except OffCourseError:
-        raise StageError("off_course") from None
+        here = poses.to_planar(world.pose("pelvis"))
+        distance, turn = np.hypot(*(goal - here)[:2]), abs(np.degrees(poses.wrap_angle(goal[2] - here[2])))
+        raise StageError(
+            "off_course",
+            f"the base stood {distance:.3f} m and {turn:.0f} deg from its goal after all its walks (it goes on within "
+            f"{settings.accept_m:g} m and {np.degrees(settings.accept_rad):.0f} deg)",
+            again=True,
+        ) from None
+
+
+def step_back(world: World, settings: RetreatSettings) -> Iterator[np.ndarray]:
+    """Let the arms down and step back, for another try; how far exactly does not matter."""
+    last, rest = world.command(), command.rest()
+    for share in np.arange(1, settings.rest_ticks + 1) / settings.rest_ticks:
+        yield (1.0 - share) * last + share * rest
+    behind = poses.planar(*poses.to_planar(world.pose("pelvis"))) @ poses.planar(-settings.back_m, 0.0, 0.0)
+    with contextlib.suppress(OffCourseError):
+        yield from walk(lambda: world.pose("pelvis"), poses.to_planar(behind), LocomotionSettings(max_walks=1))

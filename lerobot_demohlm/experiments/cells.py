@@ -1,0 +1,159 @@
+"""One cell of a table -> its line of results: generate what is missing, train, roll out; each resumes where it was."""
+
+import json
+import math
+import shutil
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.evaluation import FIRST_SEED, evaluate
+from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell, stamp
+from lerobot_demohlm.generation.runner import GenerationRequest, generate
+from lerobot_demohlm.presets import get_preset
+from lerobot_demohlm.rollouts import Setting, load_policy
+from lerobot_demohlm.training import checkpoint, train
+
+DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
+Line = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much is done for a cell.
+
+    Attributes:
+        num_rollouts: Rollouts of a policy.
+        num_attempts: Attempts of generation in a region.
+        steps: Training steps; the preset's by default.
+        device: Where policies are trained and act.
+        num_workers: Processes that generate and roll out.
+        deadline: Begin nothing after this time (``time.monotonic``) [s].
+    """
+
+    num_rollouts: int = 250
+    num_attempts: int = 500
+    steps: int | None = None
+    device: str = "cpu"
+    num_workers: int = 1
+    deadline: float = math.inf
+
+    @property
+    def is_over(self) -> bool:
+        """Tell whether the time is up."""
+        return time.monotonic() >= self.deadline
+
+
+def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> Line | None:
+    """Return a cell's line of results, or None where the time was up before it was done.
+
+    Args:
+        cell: Which.
+        layout: Where everything is.
+        effort: How much.
+    """
+    torch.set_num_threads(1)  # other cells have the other cores
+    return _run_region(cell, layout, effort) if isinstance(cell, RegionCell) else _run_policy(cell, layout, effort)
+
+
+def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None:
+    root = layout.generation(cell, effort.num_attempts)
+    if effort.is_over:
+        return None
+    shutil.rmtree(root, ignore_errors=True)  # a dataset whose line was never written
+    summary = generate(
+        GenerationRequest(
+            task=cell.task,
+            region=cell.region,
+            seed=DATA_SEED,
+            root=root,
+            num_attempts=effort.num_attempts,
+            num_workers=effort.num_workers,
+            show_progress=False,
+        )
+    )
+    return asdict(summary) | {"stamp": stamp(cell.task)}
+
+
+def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
+    dataset = layout.dataset(cell.task, cell.region, cell.num_train_episodes)
+    if not dataset.exists():
+        if effort.is_over:
+            return None
+        generate(
+            GenerationRequest(
+                task=cell.task,
+                region=cell.region,
+                seed=DATA_SEED,
+                root=dataset,
+                num_episodes=cell.num_train_episodes,
+                num_workers=effort.num_workers,
+                show_progress=False,
+            )
+        )
+    training = layout.training(cell)
+    if not _times_file(training).exists():
+        if effort.is_over:
+            return None
+        _train(cell, dataset, training, effort)
+    began, output = time.monotonic(), layout.rollouts(cell)
+    before = len(output.read_text().splitlines()) if output.exists() else 0
+    records = evaluate(
+        load_policy(checkpoint(training), cell.task, effort.device),
+        Setting(task=cell.task, region=cell.region, num_workers=effort.num_workers),
+        range(FIRST_SEED, FIRST_SEED + effort.num_rollouts),
+        output,
+        deadline=effort.deadline,
+    )
+    made, elapsed = len(records) - before, time.monotonic() - began
+    if len(records) < effort.num_rollouts:
+        return None
+    return {
+        **asdict(cell),
+        "stamp": stamp(cell.task),
+        "policy_type": records[0]["policy"],
+        "policy_hash": records[0]["policy_hash"],
+        "first_seed": FIRST_SEED,
+        "episodes": len(records),
+        "successes": sum(record["success_held"] for record in records),
+        "successes_end": sum(record["success_end"] for record in records),
+        "successes_ever": sum(record["success_ever"] for record in records),
+        "outcomes": dict(Counter(record["outcome"] for record in records)),
+        "rollouts_per_hour": round(3600 * made / elapsed) if made > 0 else None,
+        **json.loads(_times_file(training).read_text()),
+    }
+
+
+def _times_file(training: Path) -> Path:
+    """Return the file that a training which came to its end has beside its checkpoints."""
+    return training / "times.json"
+
+
+def _train(cell: Cell, dataset: Path, training: Path, effort: Effort) -> None:
+    """Train from the start, also where a training was killed, and note how long it took."""
+    preset = get_preset(cell.policy, cell.preset)
+    shutil.rmtree(training, ignore_errors=True)
+    began = time.monotonic()
+    path = train(
+        training,
+        dataset,
+        cell.policy,
+        cell.preset,
+        steps=effort.steps,
+        seed=cell.train_seed,
+        num_episodes=cell.num_train_episodes,
+        device=effort.device,
+    )
+    elapsed = time.monotonic() - began
+    if not path.is_dir():
+        raise DatasetError(f"no checkpoint at {path}", "what LeRobot's training writes", "look at its messages")
+    samples = (effort.steps or preset.steps) * preset.batch_size
+    times = {"train_s": round(elapsed, 1), "train_samples_per_s": round(samples / elapsed)}
+    temporary = _times_file(training).with_suffix(".tmp")
+    temporary.write_text(json.dumps(times) + "\n")
+    temporary.rename(_times_file(training))

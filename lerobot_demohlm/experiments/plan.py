@@ -1,0 +1,179 @@
+"""A table of the paper, tasks, sizes and seeds -> the cells to run, every task's first before any task's second."""
+
+import functools
+import hashlib
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.errors import PolicyError, UnknownNameError
+from gym_demohlm.task import DEFAULT_REGION, all_tasks, get_task
+from lerobot_demohlm import demonstration as demonstrations
+from lerobot_demohlm import provenance
+from lerobot_demohlm.presets import POLICIES, get_preset
+
+REGIONS = ("R1", "R2", "R3")
+FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
+"""Tasks of a table where none are named; all of them where it is not listed."""
+_SIZES = {"main": (1000, 100), "architectures": (1000,)}
+_SEEDS = {"main": (0, 1), "architectures": (0,)}
+TABLES = ("main", "architectures", "regions")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One trained policy and its score.
+
+    Attributes:
+        task: Name of the task.
+        policy: "mlp", "act" or "diffusion".
+        preset: "cpu" or "paper".
+        num_train_episodes: Episodes it is trained on, the first of its task's dataset.
+        train_seed: Of weights and order of samples.
+        region: Initial region of data and rollouts.
+    """
+
+    task: str
+    policy: str
+    preset: str
+    num_train_episodes: int
+    train_seed: int
+    region: str = DEFAULT_REGION
+
+    def __post_init__(self) -> None:
+        """Check names and numbers."""
+        get_task(self.task).region(self.region)
+        get_preset(self.policy, self.preset)
+        if self.num_train_episodes < 1 or self.train_seed < 0:
+            raise PolicyError(
+                f"num_train_episodes={self.num_train_episodes}, train_seed={self.train_seed}",
+                "one episode or more, and a seed of 0 or more",
+                "correct --sizes or --seeds",
+            )
+
+    @property
+    def name(self) -> str:
+        """Return what its directory is called."""
+        parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
+        return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts)))
+
+    def is_of(self, line: dict[str, Any]) -> bool:
+        """Tell whether a line of results is this cell's, from the same robot, controller and demonstration."""
+        return all(line.get(key) == value for key, value in asdict(self).items()) and line.get("stamp") == stamp(
+            self.task
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionCell:
+    """The success rate of generation in one region.
+
+    Attributes:
+        task: Name of the task.
+        region: Initial region.
+    """
+
+    task: str
+    region: str
+
+    def is_of(self, line: dict[str, Any]) -> bool:
+        """Tell whether a line of results is this cell's."""
+        mine = (self.task, self.region, stamp(self.task))
+        return (line.get("task"), line.get("region"), line.get("stamp")) == mine
+
+
+@functools.cache
+def stamp(task: str) -> str:
+    """Return eight letters that change with the controller or with the task's demonstration."""
+    source = demonstrations.load(None, get_task(task)).content_hash
+    return hashlib.sha256((provenance.controller_hash() + source).encode()).hexdigest()[:8]
+
+
+def plan(
+    table: str,
+    *,
+    preset: str = "cpu",
+    tasks: Sequence[str] | None = None,
+    sizes: Sequence[int] | None = None,
+    seeds: Sequence[int] | None = None,
+    policies: Sequence[str] | None = None,
+) -> list[Cell] | list[RegionCell]:
+    """Return the cells of a table: each round goes through all tasks before the next begins.
+
+    Args:
+        table: "main", "architectures" or "regions".
+        preset: "cpu" or "paper".
+        tasks: Names; the table's by default.
+        sizes: Numbers of training episodes, the first wanted first; the table's by default.
+        seeds: Of the trainings; the table's by default.
+        policies: The table's by default: main trains the MLP everywhere, and ACT once at the largest size.
+
+    Raises:
+        UnknownNameError: No such table, task, policy or preset.
+    """
+    if table not in TABLES:
+        raise UnknownNameError("table", table, TABLES)
+    names = [get_task(name).name for name in (tasks or FIRST_TASKS.get(table) or all_tasks())]
+    if table == "regions":
+        return [RegionCell(task=task, region=region) for region in reversed(REGIONS) for task in names]
+    rounds = _rounds(table, sizes or _SIZES[table], _SEEDS[table] if seeds is None else seeds, policies)
+    return [
+        Cell(task=task, policy=policy, preset=preset, num_train_episodes=size, train_seed=seed)
+        for policy, size, seed in rounds
+        for task in names
+    ]
+
+
+def _rounds(
+    table: str, sizes: Sequence[int], seeds: Sequence[int], policies: Sequence[str] | None
+) -> Iterable[tuple[str, int, int]]:
+    """Yield (policy, size, seed), the most wanted first, each once."""
+    if table == "main" and policies is None:
+        first = [("mlp", size, seeds[0]) for size in sizes] + [("act", max(sizes), seeds[0])]
+        return first + [("mlp", size, seed) for seed in seeds[1:] for size in sizes]
+    return [(policy, size, seed) for seed, size, policy in itertools.product(seeds, sizes, policies or POLICIES)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where a run of experiments keeps what.
+
+    Attributes:
+        root: Directory of everything large: datasets, trainings, rollouts.
+        results: Directory of the lines that are kept.
+    """
+
+    root: Path
+    results: Path
+
+    @property
+    def policies_file(self) -> Path:
+        """Return where the score of each cell goes."""
+        return self.results / "experiments.jsonl"
+
+    @property
+    def generation_file(self) -> Path:
+        """Return where the success of generation goes."""
+        return self.results / "generation.jsonl"
+
+    def dataset(self, task: str, region: str, size: int) -> Path:
+        """Return the smallest dataset there is with so many episodes, or where to make one."""
+        stem = f"{provenance.file_name(get_task(task))}_{region.lower()}_{stamp(task)}"
+        held = {path: int(path.name.rpartition("_")[2]) for path in (self.root / "data").glob(f"{stem}_*[0-9]")}
+        enough = [path for path, count in held.items() if count >= size]
+        return min(enough, key=lambda path: held[path], default=self.root / "data" / f"{stem}_{size}")
+
+    def generation(self, cell: RegionCell, num_attempts: int) -> Path:
+        """Return where the attempts of a region are made."""
+        stem = f"{provenance.file_name(get_task(cell.task))}_{cell.region.lower()}_{stamp(cell.task)}"
+        return self.root / "regions" / f"{stem}_{num_attempts}"
+
+    def training(self, cell: Cell) -> Path:
+        """Return where a cell is trained."""
+        return self.root / "policies" / f"{cell.name}_{stamp(cell.task)}"
+
+    def rollouts(self, cell: Cell) -> Path:
+        """Return where a cell's rollouts are, one line each."""
+        return self.root / "rollouts" / f"{cell.name}_{stamp(cell.task)}.jsonl"

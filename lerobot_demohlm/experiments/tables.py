@@ -1,0 +1,174 @@
+"""Lines of results -> the paper's three tables with ours beside them, as Markdown."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.evaluation import wilson
+from lerobot_demohlm.experiments import paper
+from lerobot_demohlm.experiments.plan import REGIONS
+from lerobot_demohlm.presets import POLICIES
+
+RESAMPLES = 10_000
+TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
+Line = dict[str, Any]
+
+
+def rate(lines: Sequence[Line], key: str = "successes") -> tuple[float, float, float]:
+    """Return the success rate of one cell of a table and its 95 % interval, in [0, 1].
+
+    One training: Wilson's interval over its rollouts. Several: the mean over them, and a bootstrap that draws trainings
+    and, for each, a rate that its rollouts allow (Jeffreys' posterior, which does not vanish at 0 and 1).
+
+    Args:
+        lines: One a training seed.
+        key: What is counted.
+    """
+    counts = np.array([[line[key], line["episodes"]] for line in lines])  # (trainings, 2)
+    rates = counts[:, 0] / counts[:, 1]
+    if len(lines) == 1:
+        return float(rates[0]), *wilson(*counts[0].tolist())
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(lines), size=(RESAMPLES, len(lines)))
+    successes, failures = counts[drawn, 0], counts[drawn, 1] - counts[drawn, 0]
+    means = rng.beta(successes + 0.5, failures + 0.5).mean(axis=1)
+    low, high = np.quantile(means, (0.025, 0.975))
+    mean = float(rates.mean())
+    return mean, min(mean, float(low)), max(mean, float(high))
+
+
+def latest(lines: Iterable[Line]) -> list[Line]:
+    """Keep the last line of each cell, of those with the controller and demonstration of their task's last line."""
+    lines = list(lines)
+    stamps = {line["task"]: line["stamp"] for line in lines}
+    keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region")
+    current = [line for line in lines if line["stamp"] == stamps[line["task"]]]
+    return list({tuple(line[key] for key in keys): line for line in current}.values())
+
+
+def group(lines: Iterable[Line], *keys: str) -> dict[tuple[Any, ...], list[Line]]:
+    """Collect lines that agree in some keys, sorted by them."""
+    groups: dict[tuple[Any, ...], list[Line]] = {}
+    for line in lines:
+        groups.setdefault(tuple(line[key] for key in keys), []).append(line)
+    return dict(sorted(groups.items()))
+
+
+def percent(lines: Sequence[Line] | None) -> str:
+    """Return a rate with its interval, and how many trainings are behind it where it is not one."""
+    if not lines:
+        return "-"
+    mean, low, high = rate(lines)
+    text = f"{100 * mean:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    return text if len(lines) == 1 else f"{text}, {len(lines)} seeds"
+
+
+def number(value: float | None) -> str:
+    """Return a percentage of the paper."""
+    return "-" if value is None else f"{value:.1f}"
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def main_table(lines: Iterable[Line]) -> str:
+    """Return success by the number of training episodes, one row a task; the paper's is ACT."""
+    cells = group(latest(lines), "task", "num_train_episodes", "policy", "preset")
+    tasks = dict.fromkeys(task for task, *_ in cells)
+    sizes = sorted({size for _, size, *_ in cells})
+    methods = {size: _methods(cells, size) for size in sizes}
+    header, rows = ["task"], {task: [task] for task in tasks}
+    for size in sizes:
+        header += [f"{size}: {_title(*method)}" for method in methods[size]] + [f"paper {size}"]
+        for task in tasks:
+            rows[task] += [percent(cells.get((task, size, *method))) for method in methods[size]]
+            rows[task].append(number(paper.success(task, size)))
+    for size in sorted({paper.SIZES[-1]} - set(sizes)):
+        header.append(f"paper {size}")
+        for task in tasks:
+            rows[task].append(number(paper.success(task, size)))
+    title = "**Success by number of training episodes** [%], R3, last checkpoint, starts never used in generation"
+    return f"{title}; success held for 1 s (the paper's need not be held; its policy is ACT)\n\n" + markdown(
+        header, rows.values()
+    )
+
+
+def architectures_table(lines: Iterable[Line]) -> str:
+    """Return success by policy, for tasks and sizes with more than one of them."""
+    cells = group(latest(lines), "task", "num_train_episodes", "preset", "policy")
+    rows = []
+    for task, size, preset in dict.fromkeys(key[:3] for key in cells):
+        ours = [cells.get((task, size, preset, policy)) for policy in POLICIES]
+        if sum(found is not None for found in ours) > 1:
+            theirs = paper.SUCCESS_BY_ARCHITECTURE.get(task, {})
+            rows.append([task, str(size), preset, *map(percent, ours), *(number(theirs.get(p)) for p in POLICIES)])
+    if not rows:
+        return ""
+    names = [TITLES[policy] for policy in POLICIES]
+    header = ["task", "episodes", "preset", *names, *(f"paper: {name}" for name in names)]
+    title = (
+        f"**Success by policy** [%], the same data for all three; the paper's with {paper.ARCHITECTURE_SIZE} episodes"
+    )
+    return f"{title}\n\n" + markdown(header, rows)
+
+
+def by_region(lines: Iterable[Line]) -> dict[str, list[Line]]:
+    """Return the last line of each region in order, for tasks with all three; the first try of an attempt counts."""
+    last = {(line["task"], line["region"]): line for line in lines if not line.get("retries")}
+    tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
+    return {task: [last[task, region] for region in REGIONS] for task in tasks}
+
+
+def regions_table(lines: Iterable[Line]) -> str:
+    """Return the success of generation by region, for tasks with all three."""
+    rows = []
+    for task, found in by_region(lines).items():
+        theirs = [number(paper.GENERATION.get((task, region))) for region in REGIONS]
+        rows.append([task, *map(_generated, found), *theirs])
+    if not rows:
+        return ""
+    header = ["task", *REGIONS, *(f"paper: {region}" for region in REGIONS)]
+    return "**Generation success by initial region** [%]\n\n" + markdown(header, rows)
+
+
+def cost_table(lines: Iterable[Line]) -> str:
+    """Return what the trainings and the rollouts took."""
+    rows = []
+    for (policy, preset), found in group(latest(lines), "policy", "preset").items():
+        hours = [line["rollouts_per_hour"] for line in found if line["rollouts_per_hour"]]
+        rows.append(
+            [
+                f"{TITLES[policy]}, {preset}",
+                str(len(found)),
+                f"{np.median([line['train_s'] for line in found]) / 60:.1f} min",
+                f"{np.median([line['train_samples_per_s'] for line in found]):.0f}",
+                f"{np.median(hours):.0f}" if hours else "-",
+            ]
+        )
+    header = ["policy", "trainings", "a training", "samples/s", "rollouts/h"]
+    return "**Time of the experiments**, medians, one core each\n\n" + markdown(header, rows)
+
+
+def experiments_tables(lines: list[Line]) -> str:
+    """Return every table that lines of ``experiments.jsonl`` fill."""
+    parts = [main_table(line for line in lines if line["region"] == DEFAULT_REGION), architectures_table(lines)]
+    return "\n\n".join(part for part in (*parts, cost_table(lines)) if part)
+
+
+def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:
+    found = {(policy, preset) for _, count, policy, preset in cells if count == size}
+    return sorted(found, key=lambda method: (POLICIES.index(method[0]), method[1]))
+
+
+def _title(policy: str, preset: str) -> str:
+    return TITLES[policy] if preset == "cpu" else f"{TITLES[policy]} ({preset})"
+
+
+def _generated(line: Line) -> str:
+    low, high = wilson(line["successes"], line["attempts"])
+    return f"{100 * line['successes'] / line['attempts']:.1f} ({100 * low:.1f} to {100 * high:.1f})"

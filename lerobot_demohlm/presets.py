@@ -1,0 +1,229 @@
+"""The name of a policy and of a preset -> LeRobot's training configuration: the paper's hyperparameters, or a CPU's.
+
+``paper`` is the paper's appendix. What it does not say, or what LeRobot's policies cannot do, is marked at its place.
+``cpu`` is smaller: a task trains in a quarter of an hour on two cores. All of a preset is here and nowhere else.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gym_demohlm.errors import PolicyError, UnknownNameError
+
+if TYPE_CHECKING:  # importing them takes seconds, which `demohlm --help` does not have
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.configs.train import TrainPipelineConfig
+
+CHUNK = {"chunk_size": 20, "n_action_steps": 10}
+"""Steps of 0.1 s. The paper names the 10 carried out for Diffusion Policy; here all three look again as often."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """How one policy is trained.
+
+    Attributes:
+        type: The policy's name in LeRobot.
+        batch_size: Samples a step.
+        steps: Steps; the paper does not say how many.
+        options: Fields of the policy's configuration.
+        cosine: Whether the learning rate falls to zero after a warmup of a twentieth of the steps.
+    """
+
+    type: str
+    batch_size: int
+    steps: int
+    options: Mapping[str, Any] = field(default_factory=dict)
+    cosine: bool = False
+
+
+_MIN_MAX_ACTIONS = {  # what Diffusion's samples, clipped to +-1, ask for; inputs as the others have them
+    "normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MIN_MAX"}
+}
+_MEAN_STD = {"normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
+_TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
+"""Diffusion learns the last steps of an episode too, as the other two do, and nothing of what lies behind them."""
+
+PRESETS: Mapping[tuple[str, str], Preset] = {
+    ("mlp", "paper"): Preset(type="chunked_mlp", batch_size=512, steps=50_000, options={**CHUNK, "optimizer_lr": 5e-5}),
+    ("mlp", "cpu"): Preset(
+        type="chunked_mlp", batch_size=512, steps=8_000, options={**CHUNK, "optimizer_lr": 5e-4}, cosine=True
+    ),
+    ("act", "paper"): Preset(
+        type="act",
+        batch_size=2048,
+        steps=10_000,
+        options={
+            **CHUNK,
+            **_MEAN_STD,
+            "n_encoder_layers": 2,
+            "n_vae_encoder_layers": 2,  # the original ACT builds both encoders with as many layers
+            "n_decoder_layers": 3,
+            "n_heads": 8,
+            "dim_model": 512,
+            "dim_feedforward": 3200,
+            "latent_dim": 32,
+            "kl_weight": 10.0,
+            "optimizer_lr": 5e-5,
+        },
+    ),
+    ("act", "cpu"): Preset(
+        type="act",
+        batch_size=128,
+        steps=5_000,
+        options={
+            **CHUNK,
+            **_MEAN_STD,
+            "n_encoder_layers": 2,
+            "n_decoder_layers": 1,  # as in the original ACT, where the others are never used
+            "n_heads": 4,
+            "dim_model": 256,
+            "dim_feedforward": 512,
+            "use_vae": False,  # half the work, for a latent that is zero whenever the policy acts
+            "optimizer_lr": 5e-4,
+        },
+        cosine=True,
+    ),
+    ("diffusion", "paper"): Preset(
+        type="diffusion",
+        batch_size=4096,
+        steps=10_000,
+        options={
+            **_MIN_MAX_ACTIONS,
+            **_TO_THE_END,
+            "n_obs_steps": 1,
+            "horizon": 24,  # the paper's 20; LeRobot wants a multiple of 2 ** len(down_dims)
+            "n_action_steps": 10,
+            "down_dims": (256, 512, 1024),
+            "kernel_size": 5,
+            "diffusion_step_embed_dim": 256,
+            "num_train_timesteps": 100,
+            "optimizer_lr": 5e-5,
+        },
+        cosine=True,
+    ),
+    ("diffusion", "cpu"): Preset(
+        type="diffusion",
+        batch_size=128,
+        steps=5_000,
+        options={
+            **_MIN_MAX_ACTIONS,
+            **_TO_THE_END,
+            "n_obs_steps": 1,
+            "horizon": 20,
+            "n_action_steps": 10,
+            "down_dims": (64, 128),
+            "kernel_size": 5,
+            "diffusion_step_embed_dim": 128,
+            "noise_scheduler_type": "DDIM",  # ten steps of it do for a hundred of DDPM
+            "num_train_timesteps": 100,
+            "num_inference_steps": 10,
+            "optimizer_lr": 5e-4,
+        },
+        cosine=True,
+    ),
+}
+POLICIES = tuple(dict.fromkeys(policy for policy, _ in PRESETS))
+NAMES = tuple(dict.fromkeys(name for _, name in PRESETS))
+
+
+def get_preset(policy: str, name: str) -> Preset:
+    """Return a preset.
+
+    Args:
+        policy: "mlp", "act" or "diffusion".
+        name: "paper" or "cpu".
+
+    Raises:
+        UnknownNameError: No such policy or preset.
+    """
+    for kind, got, known in (("policy", policy, POLICIES), ("preset", name, NAMES)):
+        if got not in known:
+            raise UnknownNameError(kind, got, known)
+    return PRESETS[policy, name]
+
+
+def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTrainedConfig":
+    """Return the configuration of a preset's policy.
+
+    Args:
+        preset: Which.
+        steps: Training steps, of which a twentieth warms up.
+        device: Where it is trained, such as "cpu" or "cuda".
+    """
+    from lerobot.configs import NormalizationMode
+    from lerobot.policies.factory import make_policy_config
+
+    import lerobot_demohlm
+
+    lerobot_demohlm.register()
+    options = dict(preset.options)
+    if "normalization_mapping" in options:
+        modes = options["normalization_mapping"].items()
+        options["normalization_mapping"] = {key: NormalizationMode[mode] for key, mode in modes}
+    if preset.cosine and preset.type != "act":  # ACT's configuration knows no schedule
+        options["scheduler_warmup_steps"] = warmup_steps(steps)
+    return make_policy_config(preset.type, device=device, push_to_hub=False, **options)
+
+
+def warmup_steps(steps: int) -> int:
+    """Return how many of the steps the learning rate rises."""
+    return max(1, steps // 20)
+
+
+def train_config(
+    dataset_root: Path,
+    output: Path,
+    policy: str = "mlp",
+    preset: str = "cpu",
+    *,
+    steps: int | None = None,
+    seed: int = 0,
+    num_episodes: int | None = None,
+    device: str = "cpu",
+) -> "TrainPipelineConfig":
+    """Return what ``lerobot-train`` is to be given.
+
+    Args:
+        dataset_root: Dataset without images.
+        output: Directory of the training.
+        policy: "mlp", "act" or "diffusion".
+        preset: "paper" or "cpu".
+        steps: Training steps; the preset's by default.
+        seed: Of the weights and of the order of the samples.
+        num_episodes: Train on so many episodes from the first on; on all by default.
+        device: Where it is trained.
+
+    Raises:
+        UnknownNameError: No such policy or preset.
+        PolicyError: Fewer than one step or episode.
+    """
+    from lerobot.configs.default import DatasetConfig
+    from lerobot.configs.train import TrainPipelineConfig
+    from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig
+
+    chosen = get_preset(policy, preset)
+    steps = chosen.steps if steps is None else steps
+    if steps < 1 or (num_episodes is not None and num_episodes < 1):
+        raise PolicyError(f"steps={steps}, num_episodes={num_episodes}", "1 or more", "correct them")
+    config = policy_config(chosen, steps, device)
+    own_schedule = chosen.cosine and chosen.type == "act"
+    return TrainPipelineConfig(
+        dataset=DatasetConfig(
+            repo_id=f"local/{dataset_root.name}",
+            root=str(dataset_root),
+            episodes=None if num_episodes is None else list(range(num_episodes)),
+        ),
+        policy=config,
+        output_dir=output,
+        steps=steps,
+        batch_size=chosen.batch_size,
+        num_workers=0,  # a batch from memory is made sooner than handed over by another process
+        save_freq=0,  # the last checkpoint only
+        env_eval_freq=0,
+        seed=seed,
+        use_policy_training_preset=not own_schedule,
+        optimizer=config.get_optimizer_preset() if own_schedule else None,
+        scheduler=CosineAnnealingWithWarmupSchedulerConfig(warmup_steps(steps)) if own_schedule else None,
+    )

@@ -1,0 +1,232 @@
+"""Experiments: the order of the cells, running and resuming them, tables and figures from their lines."""
+
+import dataclasses
+import json
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
+from gym_demohlm.task import all_tasks
+from lerobot_demohlm import cli, results
+from lerobot_demohlm.experiments import page, paper, plots, tables
+from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell, plan, stamp
+from lerobot_demohlm.experiments.reproduce import missing, reproduce
+
+CELL = Cell(task="LiftBox", policy="mlp", preset="cpu", num_train_episodes=100, train_seed=0)
+
+
+def make_line(cell: Cell = CELL, successes: int = 200, **changes: Any) -> dict[str, Any]:
+    """Return the line of a cell with 250 rollouts."""
+    counts = {"episodes": 250, "successes": successes, "successes_end": successes, "successes_ever": successes}
+    outcomes = {"success": successes, "fell": 250 - successes}
+    times = {"train_s": 600.0, "train_samples_per_s": 5000, "rollouts_per_hour": 2000}
+    own = {"stamp": stamp(cell.task), "policy_hash": "0" * 64, "outcomes": outcomes}
+    return dataclasses.asdict(cell) | own | counts | times | changes
+
+
+def fake_run(cell: Cell | RegionCell) -> dict[str, Any] | None:
+    """Stand in for what runs a cell, in another process."""
+    if cell.task == "PushCube":
+        raise DatasetError("no success", "some", "try again")
+    return None if cell.task == "PressCube" or not isinstance(cell, Cell) else make_line(cell)
+
+
+def layout(root: Path) -> Layout:
+    return Layout(root=root / "runs", results=root / "results")
+
+
+def test_every_task_has_a_number_before_any_has_two() -> None:
+    cells = plan("main")
+    tasks = list(all_tasks())
+    for start in range(0, len(cells), len(tasks)):
+        assert [cell.task for cell in cells[start : start + len(tasks)]] == tasks
+    assert len(set(cells)) == len(cells) == 5 * len(tasks)
+    rounds = [
+        (c.policy, c.num_train_episodes, c.train_seed) for c in cells if isinstance(c, Cell) and c.task == tasks[0]
+    ]
+    assert rounds == [("mlp", 1000, 0), ("mlp", 100, 0), ("act", 1000, 0), ("mlp", 1000, 1), ("mlp", 100, 1)]
+    assert {cell.policy for cell in plan("architectures", tasks=["LiftBox"])} == {"mlp", "act", "diffusion"}  # pyright: ignore
+    assert {cell.region for cell in plan("regions")} == {"R1", "R2", "R3"}
+    assert len(plan("main", tasks=["LiftBox"], sizes=[5000], seeds=[3], policies=["mlp"])) == 1
+    with pytest.raises(UnknownNameError, match="task 'Lift'"):
+        plan("main", tasks=["Lift"])
+    with pytest.raises(PolicyError, match="num_train_episodes=0"):
+        plan("main", sizes=[0])
+
+
+def test_smaller_sizes_come_from_the_larger_dataset(tmp_path: Path) -> None:
+    own = layout(tmp_path)
+    first = own.dataset("LiftBox", "R3", 1000)
+    first.mkdir(parents=True)
+    assert own.dataset("LiftBox", "R3", 100) == own.dataset("LiftBox", "R3", 1000) == first
+    assert own.dataset("LiftBox", "R3", 1001) != first
+    assert own.dataset("LiftBox", "R2", 100) != first
+    own.dataset("LiftBox", "R3", 5000).mkdir()
+    assert own.dataset("LiftBox", "R3", 100) == first
+
+
+def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = layout(tmp_path)
+    tasks = ["LiftBox", "PressCube", "PushCube"]
+    cells = plan("main", tasks=tasks, sizes=[100], seeds=[0, 1], policies=["mlp"])
+    done, failures = reproduce(cells, own, fake_run, num_workers=2, command="demohlm reproduce ...")
+    assert (done, len(failures)) == (2, 2)
+    assert "no success" in failures[0]
+    lines = results.read(own.policies_file)
+    assert sorted(line["train_seed"] for line in lines) == [0, 1]
+    assert {(line["task"], line["command"]) for line in lines} == {("LiftBox", "demohlm reproduce ...")}
+    assert [cell.task for cell in missing(cells, own)] == ["PressCube", "PushCube"] * 2
+    assert reproduce(cells[:1], own, fake_run) == (0, [])
+    assert reproduce(missing(cells, own), own, fake_run, deadline=time.monotonic()) == (0, [])
+    results.append(own.policies_file, "another robot", make_line(CELL, stamp="other"))
+    assert CELL not in missing([CELL], own)
+    capsys.readouterr()
+    words = ["reproduce", "--table", "main", "--tasks", *tasks, "--sizes", "100", "--policies", "mlp", "--seeds", "0"]
+    folders = ["--root", str(own.root), "--results", str(own.results)]
+    assert cli.main([*words, *folders, "--dry-run"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert cli.main([*words, *folders, "--budget-hours", "0"]) == 2
+    assert cli.main([*words, *folders, "--budget-hours", "1e-9"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["missing"] == 2
+
+
+def test_rates() -> None:
+    one = make_line(successes=200)
+    assert tables.rate([one]) == (0.8, *tables.wilson(200, 250))
+    mean, low, high = tables.rate([one, make_line(successes=250)])
+    assert mean == 0.9
+    assert 0.77 < low < 0.82  # two trainings that differ: the interval spans them
+    assert 0.99 < high <= 1.0
+    assert tables.rate([one, one]) == pytest.approx(tables.rate([one]), abs=0.03)
+    mean, low, high = tables.rate([make_line(successes=0)] * 3)
+    assert mean == low == 0.0
+    assert 0.001 < high < 0.01
+
+
+def lines_of_all() -> list[dict[str, Any]]:
+    found = []
+    for policy, size, seed, successes in (
+        ("mlp", 100, 0, 100),
+        ("mlp", 100, 1, 120),
+        ("mlp", 1000, 0, 200),
+        ("act", 1000, 0, 225),
+    ):
+        for task in ("LiftBox", "GraspCube"):
+            cell = dataclasses.replace(CELL, task=task, policy=policy, num_train_episodes=size, train_seed=seed)
+            found.append(make_line(cell, successes))
+    return found
+
+
+def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
+    lines = [make_line(successes=1), make_line(dataclasses.replace(CELL, train_seed=7), stamp="old"), *lines_of_all()]
+    rows = tables.main_table(lines).splitlines()
+    assert rows[2] == "| task | 100: MLP | paper 100 | 1000: MLP | 1000: ACT | paper 1000 | paper 5000 |"
+    lift = next(row for row in rows if row.startswith("| LiftBox"))
+    assert "44.0 (" in lift and ", 2 seeds | 86.4 | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | 98.6 | 98.8 |" in lift
+    table = tables.architectures_table(lines)
+    assert "| GraspCube | 1000 | cpu | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | - | 81.3 | 87.9 | 90.2 |" in table
+    assert tables.architectures_table(lines[:3]) == ""
+    for region, successes in (("R1", 99), ("R2", 98), ("R3", 97)):
+        facts = {"task": "Handover", "region": region, "attempts": 100, "successes": successes, "outcomes": {}}
+        results.append(tmp_path / "generation.jsonl", "demohlm reproduce --table regions", facts)
+    bars = ET.fromstring(plots.regions_figure(results.read(tmp_path / "generation.jsonl")))
+    assert len([element for element in bars.iter() if element.tag.endswith("circle")]) == 3 + 3  # ours and the paper's
+    for line in lines:
+        results.append(tmp_path / "experiments.jsonl", "demohlm reproduce --table main", line)
+    text = results.tables(tmp_path)
+    assert "| Handover | 99.0 (94.6 to 99.8) |" in text
+    assert text.count("demohlm reproduce --table main") == 1
+    assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
+
+
+def test_paper_has_every_task() -> None:
+    assert paper.SUCCESS_BY_SIZE.keys() == paper.SUCCESS_BY_ARCHITECTURE.keys()
+    assert {task for task, region in paper.GENERATION if region == "R3"} == paper.SUCCESS_BY_SIZE.keys()
+    assert paper.SUCCESS_BY_SIZE.keys() <= all_tasks().keys()
+    for task, rates in paper.SUCCESS_BY_SIZE.items():
+        assert list(rates) == sorted(rates), task  # the paper's claim
+        assert rates[-1] == paper.SUCCESS_BY_ARCHITECTURE[task]["act"]
+    assert paper.success("LiftBox", 1000) == 98.6
+    assert paper.success("LiftBox", 1001) is None
+
+
+def test_figures_are_svg_with_a_point_a_number() -> None:
+    lines = lines_of_all()
+    drawn = ET.fromstring(plots.size_figure(lines))
+    circles = [element for element in drawn.iter() if element.tag.endswith("circle")]
+    assert len(circles) == 3 * (5 + 2 + 1)  # two tasks and their mean: the paper, MLP at two sizes, ACT at one
+    bars = ET.fromstring(plots.architectures_figure(lines))
+    assert len([element for element in bars.iter() if element.get("width") == "16"]) == 2 * (3 + 2)
+    assert plots.size_figure(lines, "paper") == plots.regions_figure([]) == ""
+
+
+def test_failure_map_counts_where_they_began() -> None:
+    starts = [(-1.0, 0.0), (-1.0, 0.0), (-0.2, 0.1), (-0.2, -0.1)]
+    records = [
+        {"initial_state": {"robot": [x, y, 0.0]}, "success_held": place != 1} for place, (x, y) in enumerate(starts)
+    ]
+    drawn = ET.fromstring(plots.failure_map(records, bins=4))
+    titles = [element.text for element in drawn.iter() if element.tag.endswith("title")]
+    assert titles.count("1 of 2 failed") == 1
+    assert sum(int((title or "").split()[2]) for title in titles) == 4
+    assert [element.text for element in drawn.iter() if element.text == "1/2"] == ["1/2"]
+
+
+def test_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = layout(tmp_path)
+    for line in lines_of_all():
+        results.append(own.policies_file, "demohlm reproduce --table main", line)
+    outcomes = ["success", "fell", "fell", "dropped"]
+    records = [
+        {
+            "seed": seed,
+            "outcome": outcome,
+            "success_held": outcome == "success",
+            "initial_state": {"robot": [-0.3 * seed, 0.1, 0.0]},
+        }
+        for seed, outcome in enumerate(outcomes)
+    ]
+    own.rollouts(CELL).parent.mkdir(parents=True)
+    own.rollouts(CELL).write_text("".join(json.dumps(record) + "\n" for record in records))
+    filmed: list[int] = []
+    monkeypatch.setattr(
+        page, "_film", lambda cell, layout, record: (filmed.append(record["seed"]), ("AA", "a <fall>"))[1]
+    )
+    words = ["report", "--results", str(own.results), "--experiments", str(own.root), "--num-videos", "2"]
+    assert cli.main([*words, "--output", str(tmp_path / "page.html"), "--figures", str(tmp_path / "figures")]) == 0
+    assert filmed == [1, 3]  # one of each outcome
+    text = (tmp_path / "page.html").read_text()
+    assert text.count("a &lt;fall&gt;") == 2
+    assert "<td>LiftBox</td>" in text
+    assert "LiftBox: MLP, 100 episodes, seed 0" in text
+    assert text.count("<h3>") == 1
+    names = sorted(file.name for file in (tmp_path / "figures").iterdir())
+    assert names == ["architectures_cpu.svg", "sizes_cpu.svg"]
+    assert cli.main(["report", "--results", str(tmp_path / "no"), "--output", str(tmp_path / "other.html")]) == 2
+
+
+@pytest.mark.slow
+def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["reproduce", "--table", "main", "--tasks", "LiftBox", "--sizes", "2", "1", "--seeds", "0", "--steps", "2"]
+    words += ["--policies", "mlp", "--num-rollouts", "2", "--root", str(tmp_path / "runs")]
+    words += ["--results", str(tmp_path / "results")]
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["run"] == 2
+    lines = results.read(tmp_path / "results/experiments.jsonl")
+    assert [line["num_train_episodes"] for line in lines] == [2, 1]
+    assert [line["episodes"] for line in lines] == [2, 2]
+    assert len(list((tmp_path / "runs/data").iterdir())) == 1
+    assert np.isfinite([line["train_samples_per_s"] for line in lines]).all()
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {
+        "table": "main",
+        "run": 0,
+        "missing": 0,
+        "failed": [],
+    }
+    assert results.read(tmp_path / "results/experiments.jsonl") == lines
