@@ -1,8 +1,9 @@
 """A command and a gait clock -> the closed-form reference joint targets that the whole-body policy corrects.
 
-Standing: a planar two-link leg puts the soles under a pelvis at the commanded height, shifted fore and aft by a
-quasi-static table so that the centre of mass stays over the feet (the idea of AMO's adapter). Walking: a clocked
-trot in place with foot placement from the velocity command. Open loop it falls within seconds; it is a starting point.
+Standing: a planar two-link leg puts the soles under a pelvis at the commanded height, shifted by a quasi-static table
+so that the centre of mass stays over the feet (the idea of AMO's adapter), and waist angles that turn the torso to
+its commanded roll and pitch exactly. Walking: a clocked gait with foot placement from the velocity command and from
+the velocity that leg odometry finds (Raibert). Open loop it falls within seconds; it is a starting point.
 """
 
 from dataclasses import dataclass
@@ -24,12 +25,16 @@ class Gait:
         swing: Part of the period in which a foot is in the air; the right foot swings half a period after the left.
         lift: Height of the sole at mid-swing [m].
         sway: Amplitude of the lateral sway of the pelvis [m].
+        widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
+        placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
     """
 
-    period_s: float = 0.72
+    period_s: float = 0.64
     swing: float = 0.4
-    lift: float = 0.07
-    sway: float = 0.03
+    lift: float = 0.06
+    sway: float = 0.025
+    widen: float = 0.06
+    placement_s: float = 0.12
 
 
 GAIT = Gait()
@@ -37,18 +42,31 @@ GAIT = Gait()
 REST_PHASES = (0.5 * (0.5 + GAIT.swing), 0.5 + 0.5 * (0.5 + GAIT.swing))
 WALK_THRESHOLD = np.array([0.04, 0.04, 0.08])  # m/s, m/s, rad/s: slower commands mean "stand"
 SLEW = np.array([1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5])  # fastest change of the command's first seven numbers, per second
-WALK_HEIGHT, WALK_PITCH, WALK_YAW = 0.66, 0.4, 0.3  # m, rad, rad: lowest, most bent, most turned while stepping
+WALK_HEIGHT = 0.60  # m: lowest while stepping
+WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
+WALK_YAW = 0.3  # rad: most turned while stepping
+# A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles:
+# it stays less than 6 cm behind their middle, arms at home, above this torso pitch [rad], linear in height [m].
+LEAN_BACK_HEIGHT, LEAN_BACK_PITCH, LEAN_BACK_SLOPE = 0.40, 0.03, -2.75
 STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
+# A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
+STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
 
-# Grid of the quasi-static table and its axes: pelvis height [m] and torso pitch [rad].
+# Grid of the quasi-static table and its axes: pelvis height [m] and forward lean of the torso [rad].
 TABLE_HEIGHTS = np.linspace(0.40, 0.76, 10)
 TABLE_PITCHES = np.linspace(-0.3, 1.2, 11)
+LATERAL_SHIFT = 0.06  # m of pelvis shift for a sideways lean of the torso of sin = 1: measured on the model
+_WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
+_WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
+_LARGEST_BANK = 0.45  # rad: one hip closes by this much
+_WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
     """Return what of a command can be followed now: first stand, then bend; first rise, then walk.
 
-    A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright.
+    A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright; one that
+    squats deeply does not lean back.
 
     Args:
         goal: (N, 7 or more) command.
@@ -59,12 +77,14 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
         (N, 7) the command to slew towards.
     """
     goal = goal[:, :7].copy()
-    bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH + 0.02) | (current[:, 5] < -0.12)
+    bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH[1] + 0.02)
     goal[bent, :3] = 0.0
+    lowest = LEAN_BACK_PITCH + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT)
+    goal[:, 5] = np.maximum(goal[:, 5], lowest)
     steps = ~standing
     goal[:, 3] = np.where(steps, np.maximum(goal[:, 3], WALK_HEIGHT), goal[:, 3])
     goal[:, 4] = np.where(steps, 0.0, goal[:, 4])
-    goal[:, 5] = np.where(steps, np.clip(goal[:, 5], -0.1, WALK_PITCH), goal[:, 5])
+    goal[:, 5] = np.where(steps, np.clip(goal[:, 5], *WALK_PITCH), goal[:, 5])
     goal[:, 6] = np.where(steps, np.clip(goal[:, 6], -WALK_YAW, WALK_YAW), goal[:, 6])
     return goal
 
@@ -75,22 +95,28 @@ def slew(current: np.ndarray, goal: np.ndarray) -> np.ndarray:
     return current + np.clip(goal - current, -step, step)
 
 
+def startled(velocity: np.ndarray, sole_tilt: np.ndarray) -> np.ndarray:
+    """Return who must step to keep upright (N,) bool, from the odometry: velocity (N, 2) and sole tilt (N,)."""
+    return (np.abs(velocity) > STARTLE_SPEED).any(axis=1) | (sole_tilt > STARTLE_TILT)
+
+
 def advance_clock(
-    phase: np.ndarray, stopped: np.ndarray, standing: np.ndarray, velocity: np.ndarray
+    phase: np.ndarray, stopped: np.ndarray, standing: np.ndarray, velocity: np.ndarray, startled: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Advance the gait clock by one control tick.
 
     Args:
         phase: (N,) in [0, 1).
-        stopped: (N,) gait periods since the command last asked to walk.
+        stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
         standing: (N,) bool, whether the clock rests.
         velocity: (N, 3) commanded velocity.
+        startled: (N,) bool, who loses balance.
 
     Returns:
         The new phase, stopped and standing.
     """
     tick = CONTROL_DT / GAIT.period_s
-    walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1)
+    walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1) | startled
     stopped = np.where(walk, 0.0, np.minimum(stopped + tick, 10.0))
     moved = (phase + tick) % 1.0
     both_down = (moved % 0.5) >= GAIT.swing
@@ -99,9 +125,51 @@ def advance_clock(
     return np.where(stands, rest, moved), stopped, stands
 
 
-def pelvis_pitch(torso_pitch: np.ndarray) -> np.ndarray:
-    """Return the pelvis pitch [rad] of a torso pitch: the waist takes 0.6 of it within its comfortable range."""
-    return torso_pitch - np.clip(0.6 * torso_pitch, -0.35, 0.4)
+def pelvis_pitch(lean: np.ndarray) -> np.ndarray:
+    """Return the pelvis pitch [rad] of a forward lean: the waist takes 0.6 of it within its comfortable range."""
+    return lean - np.clip(0.6 * lean, *_WAIST_LEAN)
+
+
+def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far a torso leans forward and to its right in the heading frame of the pelvis [rad].
+
+    Args:
+        roll: (N,) torso roll against gravity.
+        pitch: (N,) torso pitch against gravity.
+        yaw: (N,) torso yaw against the pelvis.
+    """
+    ahead, left, up = np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)
+    x, y = np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left
+    return np.arctan2(x, up), np.arctan2(-y, np.hypot(x, up))
+
+
+def waist_angles(
+    roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray, tilt: np.ndarray, bank: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the waist for a torso attitude on a tilted pelvis.
+
+    With R_pelvis = Ry(tilt) Rx(bank), R_torso = R_pelvis Rz(yaw) Rx(waist roll) Ry(waist pitch) must see gravity where
+    a torso of this roll and pitch sees it.
+
+    Args:
+        roll: (N,) torso roll against gravity [rad].
+        pitch: (N,) torso pitch against gravity.
+        yaw: (N,) waist yaw.
+        tilt: (N,) pelvis pitch.
+        bank: (N,) pelvis roll.
+
+    Returns:
+        Waist roll and pitch (N,), (N,) within the waist's range.
+    """
+    x0, y0, z0 = -np.sin(tilt), np.sin(bank) * np.cos(tilt), np.cos(bank) * np.cos(tilt)  # up in the pelvis frame
+    x1, y1 = np.cos(yaw) * x0 + np.sin(yaw) * y0, np.cos(yaw) * y0 - np.sin(yaw) * x0
+    ux, uy, uz = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)  # up in the torso frame
+    length = np.maximum(np.hypot(y1, z0), 1e-6)
+    waist_roll = np.arcsin(np.clip(uy / length, -1, 1)) - np.arctan2(y1, z0)
+    waist_roll = np.clip(waist_roll, -_WAIST_LIMIT, _WAIST_LIMIT)
+    z1 = np.cos(waist_roll) * z0 - np.sin(waist_roll) * y1
+    waist_pitch = np.arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
+    return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
 
 
 def leg_ik(forward: np.ndarray, down: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -152,35 +220,49 @@ class Reference:
             (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         )
 
-    def __call__(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    def __call__(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
         """Return the joint targets of legs and waist.
 
         Args:
             command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
             phase: (N,) gait clock.
             standing: (N,) bool.
+            velocity: (N, 2) of the pelvis in the heading frame, from the odometry [m/s].
 
         Returns:
             (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
         """
-        vx, vy, yaw_rate, height, roll, pitch, yaw = command[:, :7].T
-        tilt = pelvis_pitch(pitch)
-        shift = self.ankle_shift(height, pitch)
+        # Columns in one piece: NumPy may round a sine of a strided part otherwise.
+        vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
+        forward, right = lean(roll, pitch, yaw)
+        tilt = pelvis_pitch(forward)
+        bank = np.clip(right - np.clip(right, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
+        shift = self.ankle_shift(height, forward)
+        aside = -LATERAL_SHIFT * np.sin(right)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
         half_stride = 0.5 * (1 - GAIT.swing) * GAIT.period_s  # s: from mid-stance to lift-off
         sway = np.where(walking, GAIT.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
+        extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * GAIT.placement_s
         for side in (0, 1):
             own = (phase + 0.5 * side) % 1.0
             u = np.clip(own / GAIT.swing, 0, 1)
             swings = own < GAIT.swing
-            progress = np.where(swings, -1 + 2 * u * u * (3 - 2 * u), 1 - 2 * (own - GAIT.swing) / (1 - GAIT.swing))
+            v = (own - GAIT.swing) / (1 - GAIT.swing)
+            progress = np.where(swings, -1 + 2 * u * u * (3 - 2 * u), 1 - 2 * v)
             progress = np.where(walking, progress, 0.0) * half_stride
+            reach = np.where(walking, np.where(swings, u * u * (3 - 2 * u), 1 - v), 0.0)
             lift = np.where(swings & walking, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
-            down = height - g1.HIP_DROP - g1.SOLE_DROP - lift
-            hip, knee, ankle = leg_ik(vx * progress + shift, down, tilt)
-            spread = np.arctan2(vy * progress + sway, down)
+            sign = 1.0 - 2.0 * side
+            down = height - g1.HIP_DROP - g1.SOLE_DROP - lift + sign * g1.HIP_SPREAD * np.sin(bank)
+            hip, knee, ankle = leg_ik(vx * progress + extra[:, 0] * reach + shift, down, tilt)
+            out = np.where(walking, sign * GAIT.widen * np.abs(vy), 0.0)
+            spread = np.arctan2(vy * progress + extra[:, 1] * reach + sway + aside + out, down)
             first = 6 * side
-            targets[:, first : first + 6] = np.stack([hip, spread, yaw_rate * progress, knee, ankle, -spread], axis=1)
-        targets[:, 12], targets[:, 13], targets[:, 14] = yaw, roll, pitch - tilt
+            leg = [hip, spread - bank, yaw_rate * progress, knee, ankle, -spread]
+            targets[:, first : first + 6] = np.stack(leg, axis=1)
+        targets[:, 12] = yaw
+        targets[:, 13], targets[:, 14] = waist_angles(roll, pitch, yaw, tilt, bank)
         return targets
