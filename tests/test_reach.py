@@ -15,7 +15,7 @@ from gym_demohlm.wbc.trial import trial_simulation
 def figure() -> reach.Figure:
     simulation = trial_simulation(1)
     simulation.close()
-    return reach.Figure(simulation.model, Weights().shift_table)
+    return reach.Figure(simulation.model, Weights().make_reference())
 
 
 def test_an_obedient_robot_stands_on_level_soles_at_the_commanded_height(figure: reach.Figure) -> None:

@@ -11,6 +11,8 @@ from gym_demohlm.control import command, features, odometry, reference
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.wbc import quasi_static
+from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 
 
 def _random_inputs(count: int, seed: int) -> dict[str, np.ndarray]:
@@ -179,7 +181,7 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
 
 def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES)))
-    pose = reference.Reference(table)
+    pose = reference.Reference(table, np.zeros((*table.shape, 3))).pose
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
@@ -188,6 +190,26 @@ def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)
     np.testing.assert_allclose(hip + knee + ankle, 0, atol=1e-12)
+
+
+def test_load_of_the_waist_is_that_of_the_model() -> None:
+    found = quasi_static.torso_load()
+    np.testing.assert_allclose(found, (reference.TORSO_LOAD_UP, reference.TORSO_LOAD_AHEAD), rtol=0.01)
+
+
+def test_aiming_further_by_the_sag_holds_the_height() -> None:
+    errors = {}
+    for name in ("pose", "targets"):
+        mdp = WholeBodyMdp(MdpConfig(num_worlds=16, num_variants=1, seed=3, largest_delay=0))
+        mdp.level = 0.3
+        if name == "pose":
+            mdp.reference.sag = lambda command, *_: np.zeros((len(command), reference.NUM_LOWER))  # type: ignore[method-assign]
+        for _ in range(20):
+            mdp.step(np.zeros((16, features.ACTION_SIZE)))
+        rests = mdp.standing
+        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.commands.current[rests, 3]).mean()
+    assert errors["targets"] < 0.006
+    assert errors["targets"] < 0.5 * errors["pose"]
 
 
 @pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04broken"])

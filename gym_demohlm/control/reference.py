@@ -56,9 +56,14 @@ STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
 TABLE_HEIGHTS = np.linspace(0.40, 0.76, 10)
 TABLE_PITCHES = np.linspace(-0.3, 1.2, 11)
 LATERAL_SHIFT = 0.06  # m of pelvis shift for a sideways lean of the torso of sin = 1: measured on the model
+# What the waist carries, weight times lever [Nm], arms at home: upwards and ahead (wbc.quasi_static.torso_load).
+TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
+HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
 _WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
 _LARGEST_BANK = 0.45  # rad: one hip closes by this much
+_WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
+_BOTH_DOWN = 0.5 - GAIT.swing  # part of the period from a foot's touch-down to the other's lift-off
 _WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
 
@@ -196,17 +201,20 @@ def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np
 
 
 class Reference:
-    """The reference pose of legs and waist.
+    """The targets of legs and waist: a pose, and how much further to aim because joints give under the robot's weight.
 
     Args:
         shift_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far [m] the ankles stand ahead of the hips.
+        sag_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 3) how far hip pitch, knee and ankle pitch give [rad].
     """
 
-    def __init__(self, shift_table: np.ndarray) -> None:
+    def __init__(self, shift_table: np.ndarray, sag_table: np.ndarray) -> None:
         self.shift_table = np.array(shift_table, dtype=np.float64)
+        self.sag_table = np.array(sag_table, dtype=np.float64)
+        self._table = np.concatenate([self.shift_table[..., None], self.sag_table], axis=2)
 
-    def ankle_shift(self, height: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-        """Interpolate the quasi-static table, (N,), (N,) -> (N,) [m]."""
+    def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Interpolate the tables: heights, forward leans (N,) -> ankle shift (N,) [m], sag of a leg (N, 3) [rad]."""
         row = np.clip(
             (height - TABLE_HEIGHTS[0]) / (TABLE_HEIGHTS[1] - TABLE_HEIGHTS[0]), 0, len(TABLE_HEIGHTS) - 1.001
         )
@@ -215,15 +223,20 @@ class Reference:
         )
         i, j = row.astype(int), column.astype(int)
         u, v = row - i, column - j
-        table = self.shift_table
-        return (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
+        u, v, table = u[:, None], v[:, None], self._table
+        found = (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
             (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         )
+        return found[:, 0], found[:, 1:]
 
     def __call__(
         self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray
     ) -> np.ndarray:
-        """Return the joint targets of legs and waist.
+        """Return the joint targets of legs and waist: ``pose`` and ``sag``, arguments as there, (N, 15) [rad]."""
+        return self.pose(command, phase, standing, velocity) + self.sag(command, phase, standing)
+
+    def pose(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return the joint positions of legs and waist.
 
         Args:
             command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
@@ -239,7 +252,7 @@ class Reference:
         forward, right = lean(roll, pitch, yaw)
         tilt = pelvis_pitch(forward)
         bank = np.clip(right - np.clip(right, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
-        shift = self.ankle_shift(height, forward)
+        shift, _ = self.statics(height, forward)
         aside = -LATERAL_SHIFT * np.sin(right)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
@@ -266,3 +279,27 @@ class Reference:
         targets[:, 12] = yaw
         targets[:, 13], targets[:, 14] = waist_angles(roll, pitch, yaw, tilt, bank)
         return targets
+
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
+        """Return how much further to aim because joints of finite stiffness give under the robot's weight.
+
+        Args:
+            command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
+            phase: (N,) gait clock.
+            standing: (N,) bool.
+
+        Returns:
+            (N, 15) [rad]. Of the weight a leg bears half while standing, all of it while the other swings.
+        """
+        height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
+        _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
+        further = np.zeros((len(command), NUM_LOWER))
+        for side in (0, 1):
+            own = (phase + 0.5 * side) % 1.0
+            alone = np.clip((own - GAIT.swing) / _BOTH_DOWN, 0, 1) * np.clip((1 - own) / _BOTH_DOWN, 0, 1)
+            bears = np.where(standing, 1.0, 2 * alone)
+            further[:, [6 * side, 6 * side + 3, 6 * side + 4]] = bears[:, None] * legs
+            further[:, 6 * side + 1] = (1 - 2 * side) * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
+        further[:, 13] = -TORSO_LOAD_UP * np.sin(roll) / _WAIST_STIFFNESS
+        further[:, 14] = -(TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)) / _WAIST_STIFFNESS
+        return further

@@ -50,7 +50,8 @@ class Weights:
             self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
             layers = int(self.metadata["layers"])
             self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
-            self.mean, self.scale, self.shift_table = loaded["mean"], loaded["scale"], loaded["shift_table"]
+            self.mean, self.scale = loaded["mean"], loaded["scale"]
+            self.shift_table, self.sag_table = loaded["shift_table"], loaded["sag_table"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
                 f"controller weights {path.name} that cannot be read ({error})",
@@ -65,6 +66,10 @@ class Weights:
                 "train or install weights for this version",
             )
         self.hash = hashlib.sha256(content).hexdigest()
+
+    def make_reference(self) -> reference.Reference:
+        """Return the reference pose that the policy corrects."""
+        return reference.Reference(self.shift_table, self.sag_table)
 
 
 def _split(weight: np.ndarray) -> list[np.ndarray]:
@@ -95,7 +100,7 @@ class WholeBodyController:
 
     def __init__(self, num_worlds: int, weights: Path | None = None) -> None:
         self.weights = Weights(weights or DEFAULT_WEIGHTS)
-        self.reference = reference.Reference(self.weights.shift_table)
+        self.reference = self.weights.make_reference()
         self.state = np.zeros((num_worlds, STATE_SIZE))
         ranges = g1.joint_ranges(g1.read_mjcf())
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]

@@ -367,6 +367,14 @@ def robustness(num_worlds: int, seconds: float, seed: int, num_threads: int = 2)
     return {**found, "num_worlds": num_worlds, "seconds": seconds, "seed": seed}
 
 
+def _hand_error(num_worlds: int, seed: int, num_threads: int, weights: Path | None) -> dict[str, float]:
+    """Return ``reach.hand_error`` of a sixteenth of the robots, empty-handed."""
+    from gym_demohlm.wbc import reach  # loads the inverse kinematics
+
+    simulation = trial_simulation(max(1, num_worlds // 16), num_threads=num_threads, weights=weights)
+    return reach.hand_error(simulation, seed, rounds=8)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm benchmark controller``."""
     parser.add_argument("--num-worlds", type=int, default=256, help="robots, one episode each")
@@ -408,6 +416,8 @@ def main(arguments: argparse.Namespace) -> None:
         ranges = ranges.velocity_only() if arguments.velocity_only else ranges
         found = benchmark(*size, ranges, arguments.weights, largest_hand_load=arguments.hand_load)
         found["velocity_only"] = arguments.velocity_only
+        if not arguments.velocity_only:
+            found |= _hand_error(arguments.num_worlds, arguments.seed, arguments.num_threads, arguments.weights)
     print(json.dumps({name: round(value, 5) if isinstance(value, float) else value for name, value in found.items()}))
 
 

@@ -14,7 +14,7 @@ from gym_demohlm.wbc import rewards
 from gym_demohlm.wbc.commands import CommandSampler
 from gym_demohlm.wbc.model import SUBSTEPS, training_model
 from gym_demohlm.wbc.physics import STATE, make_physics
-from gym_demohlm.wbc.quasi_static import ankle_shift_table
+from gym_demohlm.wbc.quasi_static import tables
 
 _JOINTS = len(features.OBSERVED_JOINTS)
 _PRIVILEGED = 10  # base velocity 3, foot contact 2, foot height 2, base height 1, torso pitch and roll 2
@@ -68,10 +68,11 @@ class MdpConfig:
 class _Rest(reference.Reference):
     """The pose of rest whatever the command: training without a reference, to see what the reference is worth."""
 
-    def __call__(
-        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray
-    ) -> np.ndarray:
+    def pose(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         return np.tile(g1.HOME[: reference.NUM_LOWER], (len(command), 1))
+
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
+        return np.zeros((len(command), reference.NUM_LOWER))
 
 
 class WholeBodyMdp:
@@ -102,7 +103,7 @@ class WholeBodyMdp:
         joints = [self.model.joint(f"{joint}_joint") for joint in features.OBSERVED_JOINTS]
         ranges = np.array([joint.range for joint in joints])
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
-        self.reference = (reference.Reference if config.use_reference else _Rest)(ankle_shift_table())
+        self.reference = (reference.Reference if config.use_reference else _Rest)(*tables())
         self.commands = CommandSampler(n, self.rng)
         self.level = self.push_level = 0.0
         self.pushed = np.arange(n) < round(config.pushed_share * n)
@@ -139,7 +140,7 @@ class WholeBodyMdp:
         self.phase[worlds] = self.rng.choice(reference.REST_PHASES, count)
         self.stopped[worlds] = np.where(walk, 0.0, 2.0)
         self.standing[worlds] = ~walk
-        targets = self.reference(command, self.phase[worlds], np.ones(count, dtype=bool), np.zeros((count, 2)))
+        targets = self.reference.pose(command, self.phase[worlds], np.ones(count, dtype=bool), np.zeros((count, 2)))
         tilt = reference.pelvis_pitch(reference.lean(command[:, 4], command[:, 5], command[:, 6])[0])
         qpos = np.zeros((count, 7 + _JOINTS))
         qpos[:, 2] = command[:, 3] + 0.01

@@ -71,12 +71,12 @@ class Figure:
 
     Args:
         model: Any model that contains the robot.
-        shift_table: Of the controller's reference.
+        pose: The controller's reference.
     """
 
-    def __init__(self, model: mujoco.MjModel, shift_table: np.ndarray) -> None:
+    def __init__(self, model: mujoco.MjModel, pose: reference.Reference) -> None:
         self.model, self.data = model, mujoco.MjData(model)
-        self._reference = reference.Reference(shift_table)
+        self._reference = pose
         self._joints = np.array([int(model.joint(f"{joint}_joint").qposadr[0]) for joint in g1.BODY_JOINTS])
         self._base = int(model.joint(model.body("pelvis").jntadr[0]).qposadr[0])
         self._soles = {index for index in range(model.ngeom) if "foot_point" in model.geom(index).name}
@@ -85,7 +85,9 @@ class Figure:
         """Obey a command (23,) with the soles' middle at the origin; return the palms' poses, (2, 4, 4)."""
         data, base = self.data, self._base
         at_rest = np.full(1, reference.REST_PHASES[0]), np.ones(1, dtype=bool), np.zeros((1, 2))
-        data.qpos[self._joints] = np.concatenate([self._reference(wanted[None], *at_rest)[0], wanted[command.ARMS]])
+        data.qpos[self._joints] = np.concatenate(
+            [self._reference.pose(wanted[None], *at_rest)[0], wanted[command.ARMS]]
+        )
         data.qpos[base : base + 7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(self.model, data)
         tilt = poses.rpy(data.site("left_sole").xmat.reshape(3, 3).T) * [1, 1, 0]  # the sole is level
@@ -248,7 +250,7 @@ def hand_error(simulation: Simulation, seed: int, rounds: int = 4) -> dict[str, 
         standing and walking; and the number of reaches of each kind.
     """
     rng = np.random.default_rng(seed)
-    figure = Figure(simulation.model, Weights().shift_table)
+    figure = Figure(simulation.model, Weights().make_reference())
     count = rounds * simulation.num_worlds
     hands = hands_of(count)
     standing = reach_standing(simulation, draw_targets(figure, count, rng), hands)

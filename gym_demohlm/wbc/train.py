@@ -363,7 +363,7 @@ def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progre
     torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
     partial.replace(output / "checkpoint.pt")
     facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
-    export_weights(runner.alg.get_policy(), env.mdp.reference.shift_table, output / "weights.npz", facts)
+    export_weights(runner.alg.get_policy(), env.mdp.reference, output / "weights.npz", facts)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
