@@ -14,7 +14,7 @@ from gym_demohlm.simulation import CONTROL_DT
 from gym_demohlm.wbc import benchmark, peer
 
 _INSTALLED = all(importlib.util.find_spec(module) for module in ("holosoma_inference", "onnxruntime"))
-needs_peer = pytest.mark.skipif(not _INSTALLED, reason="needs the extra [peer]")
+needs_peer = pytest.mark.skipif(not _INSTALLED, reason="needs holosoma-inference")
 
 
 def _inputs(count: int, seed: int) -> dict[str, np.ndarray]:
@@ -31,7 +31,7 @@ def _inputs(count: int, seed: int) -> dict[str, np.ndarray]:
 
 def test_without_the_package_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(SceneError, match=r"uv sync --extra peer"):
+    with pytest.raises(SceneError, match=r"uv pip install"):
         peer.load_policy("holosoma")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gym_demohlm.control import command, features, odometry, reference
+from gym_demohlm.control import arm_load, command, features, odometry, reference
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
@@ -181,11 +181,11 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
 
 def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES)))
-    pose = reference.Reference(table, np.zeros((*table.shape, 3))).pose
+    pose = reference.Reference(table, np.zeros((*table.shape, 3)), np.zeros(arm_load.TABLE_SHAPE)).pose
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
-    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool), np.zeros((7, 2)))
+    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool), np.zeros((7, 2)), np.zeros((7, 2)))
     hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)

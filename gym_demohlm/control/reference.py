@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gym_demohlm.control import leg_ik
+from gym_demohlm.control.arm_load import ArmLoad
 from gym_demohlm.robot import g1
 
 CONTROL_DT = 0.02  # s: 50 Hz
@@ -55,14 +57,18 @@ STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
 # Grid of the quasi-static table and its axes: pelvis height [m] and forward lean of the torso [rad].
 TABLE_HEIGHTS = np.linspace(0.40, 0.76, 10)
 TABLE_PITCHES = np.linspace(-0.3, 1.2, 11)
-LATERAL_SHIFT = 0.06  # m of pelvis shift for a sideways lean of the torso of sin = 1: measured on the model
+LATERAL_SHIFT = 0.062  # m of pelvis shift for a sideways lean of the torso of sin = 1: measured on the model
 # What the waist carries, weight times lever [Nm], arms at home: upwards and ahead (wbc.quasi_static.torso_load).
 TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
+# rad per Nm of arms held out ahead, hip pitch, knee, ankle pitch: a leg bears half, its knee is half-way to the ankle.
+_ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
+GRAVITY = 9.81  # m/s2
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
 _WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
 _LARGEST_BANK = 0.45  # rad: one hip closes by this much
 _WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
+_HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
 _BOTH_DOWN = 0.5 - GAIT.swing  # part of the period from a foot's touch-down to the other's lift-off
 _WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
@@ -135,6 +141,11 @@ def pelvis_pitch(lean: np.ndarray) -> np.ndarray:
     return lean - np.clip(0.6 * lean, *_WAIST_LEAN)
 
 
+def pelvis_bank(lean: np.ndarray) -> np.ndarray:
+    """Return the pelvis roll [rad] of a sideways lean: what the waist's comfortable range leaves."""
+    return np.clip(lean - np.clip(lean, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
+
+
 def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how far a torso leans forward and to its right in the heading frame of the pelvis [rad].
 
@@ -177,22 +188,6 @@ def waist_angles(
     return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
 
 
-def leg_ik(forward: np.ndarray, down: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the planar leg: hip-to-ankle vector in the heading frame -> hip pitch, knee, ankle pitch [rad].
-
-    Args:
-        forward: Ankle ahead of the hip [m].
-        down: Ankle below the hip [m].
-        pitch: Pelvis pitch [rad]. The sole stays level.
-    """
-    upper, lower = g1.THIGH_LENGTH, g1.SHANK_LENGTH
-    distance = np.clip(np.sqrt(forward * forward + down * down), 0.22, upper + lower - 0.004)
-    knee = np.pi - np.arccos(np.clip((upper**2 + lower**2 - distance**2) / (2 * upper * lower), -1, 1))
-    lean = np.arccos(np.clip((upper**2 + distance**2 - lower**2) / (2 * upper * distance), -1, 1))
-    hip_world = -np.arctan2(forward, down) - lean
-    return hip_world - pitch, knee, -(hip_world + knee)
-
-
 def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return which feet should be in the air (N, 2) bool and how high their soles should be (N, 2) [m]; left, right."""
     own = (phase[:, None] + np.array([0.0, 0.5])) % 1.0
@@ -206,11 +201,13 @@ class Reference:
     Args:
         shift_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far [m] the ankles stand ahead of the hips.
         sag_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 3) how far hip pitch, knee and ankle pitch give [rad].
+        arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
     """
 
-    def __init__(self, shift_table: np.ndarray, sag_table: np.ndarray) -> None:
+    def __init__(self, shift_table: np.ndarray, sag_table: np.ndarray, arm_table: np.ndarray) -> None:
         self.shift_table = np.array(shift_table, dtype=np.float64)
         self.sag_table = np.array(sag_table, dtype=np.float64)
+        self.arm_load = ArmLoad(arm_table)
         self._table = np.concatenate([self.shift_table[..., None], self.sag_table], axis=2)
 
     def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,13 +226,39 @@ class Reference:
         )
         return found[:, 0], found[:, 1:]
 
-    def __call__(
-        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray
-    ) -> np.ndarray:
-        """Return the joint targets of legs and waist: ``pose`` and ``sag``, arguments as there, (N, 15) [rad]."""
-        return self.pose(command, phase, standing, velocity) + self.sag(command, phase, standing)
+    def arms_moment(self, command: np.ndarray, arms: np.ndarray) -> np.ndarray:
+        """Return the moment [kg m] that the arms add to what they have at home, seen along the torso's yaw.
 
-    def pose(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        Args:
+            command: (N, 7 or more), of which the torso's roll and pitch count.
+            arms: (N, 8) the arms' joint targets but the wrists' [rad].
+
+        Returns:
+            (N, 2) ahead and to the left.
+        """
+        roll, pitch = np.ascontiguousarray(command[:, 4:6].T)
+        x, y, z = np.ascontiguousarray(self.arm_load(arms).T)
+        across = np.sin(roll) * y + np.cos(roll) * z
+        return np.stack([np.cos(pitch) * x + np.sin(pitch) * across, np.cos(roll) * y - np.sin(roll) * z], axis=1)
+
+    def __call__(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, arms: np.ndarray
+    ) -> np.ndarray:
+        """Return the joint targets of legs and waist, ``pose`` and ``sag``, (N, 15) [rad].
+
+        Args:
+            command: As in ``pose``.
+            phase: As in ``pose``.
+            standing: As in ``pose``.
+            velocity: As in ``pose``.
+            arms: (N, 8) the arms' joint targets but the wrists' [rad].
+        """
+        moment = self.arms_moment(command, arms)
+        return self.pose(command, phase, standing, velocity, moment) + self.sag(command, phase, standing, moment)
+
+    def pose(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, moment: np.ndarray
+    ) -> np.ndarray:
         """Return the joint positions of legs and waist.
 
         Args:
@@ -243,6 +266,7 @@ class Reference:
             phase: (N,) gait clock.
             standing: (N,) bool.
             velocity: (N, 2) of the pelvis in the heading frame, from the odometry [m/s].
+            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
 
         Returns:
             (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
@@ -251,48 +275,52 @@ class Reference:
         vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
         forward, right = lean(roll, pitch, yaw)
         tilt = pelvis_pitch(forward)
-        bank = np.clip(right - np.clip(right, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
+        bank = pelvis_bank(right)
         shift, _ = self.statics(height, forward)
-        aside = -LATERAL_SHIFT * np.sin(right)
+        offset = moment / g1.MASS
+        shift = shift + np.cos(yaw) * offset[:, 0] - np.sin(yaw) * offset[:, 1]
+        aside = np.sin(yaw) * offset[:, 0] + np.cos(yaw) * offset[:, 1] - LATERAL_SHIFT * np.sin(right)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
         half_stride = 0.5 * (1 - GAIT.swing) * GAIT.period_s  # s: from mid-stance to lift-off
         sway = np.where(walking, GAIT.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
         extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * GAIT.placement_s
-        for side in (0, 1):
-            own = (phase + 0.5 * side) % 1.0
-            u = np.clip(own / GAIT.swing, 0, 1)
-            swings = own < GAIT.swing
-            v = (own - GAIT.swing) / (1 - GAIT.swing)
-            progress = np.where(swings, -1 + 2 * u * u * (3 - 2 * u), 1 - 2 * v)
-            progress = np.where(walking, progress, 0.0) * half_stride
-            reach = np.where(walking, np.where(swings, u * u * (3 - 2 * u), 1 - v), 0.0)
-            lift = np.where(swings & walking, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
-            sign = 1.0 - 2.0 * side
-            down = height - g1.HIP_DROP - g1.SOLE_DROP - lift + sign * g1.HIP_SPREAD * np.sin(bank)
-            hip, knee, ankle = leg_ik(vx * progress + extra[:, 0] * reach + shift, down, tilt)
-            out = np.where(walking, sign * GAIT.widen * np.abs(vy), 0.0)
-            spread = np.arctan2(vy * progress + extra[:, 1] * reach + sway + aside + out, down)
-            first = 6 * side
-            leg = [hip, spread - bank, yaw_rate * progress, knee, ankle, -spread]
-            targets[:, first : first + 6] = np.stack(leg, axis=1)
+        own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
+        u = np.clip(own / GAIT.swing, 0, 1)
+        v = (own - GAIT.swing) / (1 - GAIT.swing)
+        eased, walks = u * u * (3 - 2 * u), walking[:, None]
+        swings = own < GAIT.swing
+        progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
+        reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
+        lift = np.where(swings & walks, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
+        out = g1.HIP_SPREAD + np.where(walking, GAIT.widen * np.abs(vy), 0.0)
+        ankles = leg_ik.Vectors(
+            vx[:, None] * progress + extra[:, :1] * reach + (shift - g1.HIP_DROP * np.sin(tilt))[:, None],
+            vy[:, None] * progress + extra[:, 1:] * reach + (sway + aside)[:, None] + out[:, None] * _SIDES,
+            lift - height[:, None] + g1.SOLE_DROP,
+        )
+        legs = leg_ik.solve(ankles, yaw_rate[:, None] * progress, tilt, bank)
+        targets[:, :12] = legs.reshape(len(command), 12)
         targets[:, 12] = yaw
         targets[:, 13], targets[:, 14] = waist_angles(roll, pitch, yaw, tilt, bank)
         return targets
 
-    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return how much further to aim because joints of finite stiffness give under the robot's weight.
 
         Args:
             command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
             phase: (N,) gait clock.
             standing: (N,) bool.
+            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
 
         Returns:
             (N, 15) [rad]. Of the weight a leg bears half while standing, all of it while the other swings.
         """
         height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
         _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
+        ahead, aside = GRAVITY * moment.T  # Nm
+        legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
         further = np.zeros((len(command), NUM_LOWER))
         for side in (0, 1):
             own = (phase + 0.5 * side) % 1.0
@@ -300,6 +328,7 @@ class Reference:
             bears = np.where(standing, 1.0, 2 * alone)
             further[:, [6 * side, 6 * side + 3, 6 * side + 4]] = bears[:, None] * legs
             further[:, 6 * side + 1] = (1 - 2 * side) * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
-        further[:, 13] = -TORSO_LOAD_UP * np.sin(roll) / _WAIST_STIFFNESS
-        further[:, 14] = -(TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)) / _WAIST_STIFFNESS
+        further[:, 13] = (aside - TORSO_LOAD_UP * np.sin(roll)) / _WAIST_STIFFNESS
+        load_ahead = TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)
+        further[:, 14] = -(ahead + load_ahead) / _WAIST_STIFFNESS
         return further

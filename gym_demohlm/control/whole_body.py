@@ -51,7 +51,7 @@ class Weights:
             layers = int(self.metadata["layers"])
             self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
             self.mean, self.scale = loaded["mean"], loaded["scale"]
-            self.shift_table, self.sag_table = loaded["shift_table"], loaded["sag_table"]
+            self._tables = loaded["shift_table"], loaded["sag_table"], loaded["arm_table"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
                 f"controller weights {path.name} that cannot be read ({error})",
@@ -69,7 +69,7 @@ class Weights:
 
     def make_reference(self) -> reference.Reference:
         """Return the reference pose that the policy corrects."""
-        return reference.Reference(self.shift_table, self.sag_table)
+        return reference.Reference(*self._tables)
 
 
 def _split(weight: np.ndarray) -> list[np.ndarray]:
@@ -175,7 +175,8 @@ class WholeBodyController:
         self.state[chosen] = np.concatenate(
             [history, action, slewed, np.stack([phase, stopped, standing.astype(np.float64)], axis=1), velocity], axis=1
         )
-        lower = self.reference(slewed, phase, standing, velocity) + action * features.ACTION_SCALE
+        lower = self.reference(slewed, phase, standing, velocity, arms[:, features.OBSERVED_ARM_INDEX])
+        lower += action * features.ACTION_SCALE
         return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
 
     def _act(self, observed: np.ndarray) -> np.ndarray:

@@ -387,7 +387,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--velocity-only", action="store_true", help="upright, arms still: as velocity policies are asked"
     )
-    parser.add_argument("--peer", help="run a public controller instead: holosoma or holosoma-ppo (extra [peer])")
+    parser.add_argument("--peer", help="run a public controller instead: holosoma or holosoma-ppo")
     parser.add_argument("--peer-range", action="store_true", help="with --peer: velocities from the peer's own range")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw figures and a video into a folder instead")
     parser.add_argument("--run", type=Path, help="with --figures: folder of a training run, for its learning curve")
@@ -407,7 +407,7 @@ def main(arguments: argparse.Namespace) -> None:
     elif arguments.robustness:
         found = robustness(*size)
     elif arguments.peer:
-        from gym_demohlm.wbc import peer  # needs the extra [peer]
+        from gym_demohlm.wbc import peer
 
         found = peer.benchmark(
             arguments.peer, *size, ranges, largest_hand_load=arguments.hand_load, own_range=arguments.peer_range

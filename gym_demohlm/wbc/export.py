@@ -24,7 +24,11 @@ def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts
         path: Of the file to write, replaced at once.
         facts: How it was trained, kept in the metadata.
     """
-    arrays: dict[str, np.ndarray] = {"shift_table": pose.shift_table, "sag_table": pose.sag_table}
+    arrays: dict[str, np.ndarray] = {
+        "shift_table": pose.shift_table,
+        "sag_table": pose.sag_table,
+        "arm_table": pose.arm_load.table,
+    }
     normaliser = cast(EmpiricalNormalization, actor.obs_normalizer)
     arrays["mean"] = normaliser.mean.detach().cpu().numpy().astype(np.float32)
     arrays["scale"] = (1.0 / (normaliser.std + normaliser.eps)).detach().cpu().numpy().astype(np.float32)

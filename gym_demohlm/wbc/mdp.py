@@ -68,10 +68,12 @@ class MdpConfig:
 class _Rest(reference.Reference):
     """The pose of rest whatever the command: training without a reference, to see what the reference is worth."""
 
-    def pose(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def pose(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, moment: np.ndarray
+    ) -> np.ndarray:
         return np.tile(g1.HOME[: reference.NUM_LOWER], (len(command), 1))
 
-    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
         return np.zeros((len(command), reference.NUM_LOWER))
 
 
@@ -140,7 +142,9 @@ class WholeBodyMdp:
         self.phase[worlds] = self.rng.choice(reference.REST_PHASES, count)
         self.stopped[worlds] = np.where(walk, 0.0, 2.0)
         self.standing[worlds] = ~walk
-        targets = self.reference.pose(command, self.phase[worlds], np.ones(count, dtype=bool), np.zeros((count, 2)))
+        moment = self.reference.arms_moment(command, self.commands.arms[worlds])
+        at_rest = np.ones(count, dtype=bool), np.zeros((count, 2))
+        targets = self.reference.pose(command, self.phase[worlds], *at_rest, moment)
         tilt = reference.pelvis_pitch(reference.lean(command[:, 4], command[:, 5], command[:, 6])[0])
         qpos = np.zeros((count, 7 + _JOINTS))
         qpos[:, 2] = command[:, 3] + 0.01
@@ -186,7 +190,7 @@ class WholeBodyMdp:
         )
         targets = np.concatenate(
             [
-                self.reference(self.commands.current, self.phase, self.standing, self.velocity)
+                self.reference(self.commands.current, self.phase, self.standing, self.velocity, self.commands.arms)
                 + actions * features.ACTION_SCALE,
                 self.commands.arms,
             ],

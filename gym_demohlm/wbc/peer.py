@@ -37,6 +37,7 @@ PEERS = {"holosoma": "fastsac_g1_29dof.onnx", "holosoma-ppo": "ppo_g1_29dof.onnx
 """Name -> file in the package; the first is the one that the package runs by default."""
 NOT_COMMANDED = ("height_error", "torso_pitch_error", "torso_roll_error", "torso_yaw_error", "hand_error")
 """What a velocity policy is not asked for."""
+_INSTALL = 'uv pip install "holosoma-inference>=0.1.3,<0.2" onnxruntime'  # parts are built: needs a C compiler
 _LARGEST_ACTION = 100.0  # where the package clips
 _STILL = 0.01  # m/s, rad/s: slower commands mean "stand"
 
@@ -76,13 +77,13 @@ def load_policy(name: str) -> PeerPolicy:
 
     Raises:
         UnknownNameError: The package has no such policy.
-        SceneError: The extra is not installed, or the policy is of another kind than this module knows.
+        SceneError: Its package is not installed, or the policy is of another kind than this module knows.
     """
     if name not in PEERS:
         raise UnknownNameError("peer", name, PEERS)
     for module in ("holosoma_inference", "onnxruntime"):
         if importlib.util.find_spec(module) is None:
-            raise SceneError(f"an installation without {module}", "the extra [peer]", "uv sync --extra peer")
+            raise SceneError(f"an installation without {module}", "the peer's package", _INSTALL)
     import holosoma_inference
     import onnxruntime
     from holosoma_inference.config.config_values import observation, robot, task

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 
-from gym_demohlm.control import reference
+from gym_demohlm.control import arm_load, leg_ik, reference
 from gym_demohlm.robot import g1
 
-_SOLE_CENTRE = 0.03  # m ahead of the ankle: where the centre of mass should be; the sole reaches from -0.05 to 0.12
+SOLE_CENTRE = 0.03  # m ahead of the ankle: where the centre of mass should be; the sole reaches from -0.05 to 0.12
 _SOLE_ENDS = (-0.04, 0.11)  # m ahead of the ankle: where the floor can push
 _ANKLE_LIMIT = 0.84  # rad: the shank may lean this far forward
 _PITCH_JOINTS = ("hip_pitch", "knee", "ankle_pitch")
@@ -18,7 +18,7 @@ class _Figure:
     def __init__(self) -> None:
         self.model = g1.load_body_spec().compile()
         self.data = mujoco.MjData(self.model)
-        self._address = [self.model.joint(f"{joint}_joint").qposadr[0] for joint in g1.BODY_JOINTS]
+        self.address = [self.model.joint(f"{joint}_joint").qposadr[0] for joint in g1.BODY_JOINTS]
 
     def pose(self, height: float, pitch: float, leg: tuple[float, float, float]) -> float:
         """Take a posture [m, rad]; returns the centre of mass ahead of the pelvis [m]."""
@@ -28,7 +28,7 @@ class _Figure:
         data.qpos[:] = 0
         data.qpos[2] = height
         data.qpos[3:7] = [np.cos(tilt / 2), 0, np.sin(tilt / 2), 0]
-        data.qpos[self._address] = np.concatenate([joints, joints, [0, 0, pitch - tilt], g1.HOME[15:]])
+        data.qpos[self.address] = np.concatenate([joints, joints, [0, 0, pitch - tilt], g1.HOME[15:]])
         mujoco.mj_forward(self.model, data)
         return float(data.subtree_com[0, 0])
 
@@ -52,15 +52,15 @@ class _Figure:
         )
 
 
-def tables() -> tuple[np.ndarray, np.ndarray]:
-    """Return the ankle shift [m] and the sag [rad] for every height and torso pitch of the grid, arms at home.
+def tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what ``Reference`` takes: ankle shift [m] and sag [rad] for each height and torso pitch, arms at home.
 
     For each posture the shift with the centre of mass nearest the middle of the sole is taken, among those within the
     ankle's range of motion (or, where there is none, the one that exceeds it least). The sag is the torque that holds
     the posture over the joint's stiffness: hip pitch, knee, ankle pitch of each leg, weight on both.
 
     Returns:
-        (heights, pitches) and (heights, pitches, 3).
+        (heights, pitches), (heights, pitches, 3) and, for the arms, ``arm_table``.
     """
     figure = _Figure()
     shifts = np.linspace(-0.2, 0.25, 91)
@@ -69,18 +69,36 @@ def tables() -> tuple[np.ndarray, np.ndarray]:
     for i, height in enumerate(reference.TABLE_HEIGHTS):
         for j, pitch in enumerate(reference.TABLE_PITCHES):
             tilt = float(reference.pelvis_pitch(np.array(pitch)))
-            down = np.full(len(shifts), height - g1.HIP_DROP - g1.SOLE_DROP)
-            legs = np.stack(reference.leg_ik(shifts, down, np.full(len(shifts), tilt)), axis=1)
+            down = np.full(len(shifts), height - g1.HIP_DROP * np.cos(tilt) - g1.SOLE_DROP)
+            legs = np.stack(leg_ik.planar(shifts, down), axis=1) - np.array([tilt, 0.0, 0.0])
             behind = g1.HIP_DROP * np.sin(tilt)  # the hips lie behind the pelvis origin when it pitches forward
             costs = [
-                abs(figure.pose(height, pitch, leg) - (shift - behind + _SOLE_CENTRE))
+                abs(figure.pose(height, pitch, leg) - (shift - behind + SOLE_CENTRE))
                 + 10 * max(-leg[2] - _ANKLE_LIMIT, 0.0)
                 for shift, leg in zip(shifts, legs, strict=True)
             ]
             best = int(np.argmin(costs))
             figure.pose(height, pitch, legs[best])
             shift_table[i, j], sag_table[i, j] = shifts[best], figure.sag()
-    return shift_table, sag_table
+    return shift_table, sag_table, arm_table()
+
+
+def arm_table() -> np.ndarray:
+    """Return the first moment of the left arm's mass [kg m] as coefficients of ``arm_load.basis``, (81, 3)."""
+    figure, rng = _Figure(), np.random.default_rng(0)
+    model, data = figure.model, figure.data
+    joints = rng.uniform(-np.pi, np.pi, (4 * arm_load.TABLE_SHAPE[0], arm_load.NUM_JOINTS))
+    first = g1.BODY_JOINTS.index("left_shoulder_pitch")
+    address = figure.address[first : first + arm_load.NUM_JOINTS]
+    shoulder = model.body("left_shoulder_pitch_link").id
+    moments = np.zeros((len(joints), 3))
+    figure.pose(g1.PELVIS_HEIGHT, 0.0, (0.0, 0.0, 0.0))
+    for row, angles in enumerate(joints):
+        data.qpos[address] = angles
+        mujoco.mj_forward(model, data)
+        lever = data.subtree_com[shoulder] - data.body("torso_link").xpos
+        moments[row] = model.body_subtreemass[shoulder] * (lever @ data.body("torso_link").xmat.reshape(3, 3))
+    return np.linalg.lstsq(arm_load.basis(joints), moments, rcond=None)[0]
 
 
 def torso_load() -> tuple[float, float]:

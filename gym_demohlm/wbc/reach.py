@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.control import command, reference
+from gym_demohlm.control import command, features, reference
 from gym_demohlm.control.foresight import Foresight
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.control.whole_body import Weights
@@ -85,9 +85,9 @@ class Figure:
         """Obey a command (23,) with the soles' middle at the origin; return the palms' poses, (2, 4, 4)."""
         data, base = self.data, self._base
         at_rest = np.full(1, reference.REST_PHASES[0]), np.ones(1, dtype=bool), np.zeros((1, 2))
-        data.qpos[self._joints] = np.concatenate(
-            [self._reference.pose(wanted[None], *at_rest)[0], wanted[command.ARMS]]
-        )
+        arms = wanted[command.ARMS]
+        moment = self._reference.arms_moment(wanted[None], arms[None, features.OBSERVED_ARM_INDEX])
+        data.qpos[self._joints] = np.concatenate([self._reference.pose(wanted[None], *at_rest, moment)[0], arms])
         data.qpos[base : base + 7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(self.model, data)
         tilt = poses.rpy(data.site("left_sole").xmat.reshape(3, 3).T) * [1, 1, 0]  # the sole is level
