@@ -123,7 +123,7 @@ def total(
     still = (m.velocity**2).sum(axis=1) + 0.1 * m.yaw_rate**2
     terms = {
         "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 1.8 * np.exp(-velocity_error / 0.025),
-        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.0 * np.exp(-yaw_error / 0.15) + 0.8 * np.exp(-yaw_error / 0.03),
+        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.0 * np.exp(-yaw_error / 0.15) + 1.6 * np.exp(-yaw_error / 0.03),
         "drift": 0.8 * np.exp(-drift / 0.03) + 0.8 * np.exp(-drift / 0.004),
         "turn_drift": 0.6 * np.exp(-(mean_error[:, 2] ** 2) / 0.02),
         "height": 0.8 * np.exp(-height_error / 0.004) + 0.5 * np.exp(-height_error / 0.0004),
