@@ -30,12 +30,12 @@ class Renderer:
         self._model, self._size, self._shadows = model, (height, width), shadows
         self._renderer: mujoco.Renderer | None = None
 
-    def render(self, data: mujoco.MjData, camera: str = "overview") -> np.ndarray:
+    def render(self, data: mujoco.MjData, camera: str | mujoco.MjvCamera = "overview") -> np.ndarray:
         """Return an image (height, width, 3) uint8.
 
         Args:
             data: Of this model, with its kinematics done.
-            camera: "overview", or "head" for what the robot sees.
+            camera: "overview", "head" for what the robot sees, or a camera of one's own.
 
         Raises:
             SceneError: This machine has nothing to draw with.

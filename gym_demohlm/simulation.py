@@ -16,16 +16,13 @@ from mujoco import rollout
 from gym_demohlm.control import command
 from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.control.whole_body import WholeBodyController
-from gym_demohlm.errors import SceneError
-from gym_demohlm.robot import g1
+from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.worlds import Worlds
 
 CONTROL_DT = 0.02  # s, one tick of the whole-body controller
 TICKS = 5  # controller ticks a step
 STEP_DT = CONTROL_DT * TICKS  # s, one step of environment and policy
-SUBSTEPS = round(CONTROL_DT / g1.PHYSICS_DT)  # physics steps a tick
-
 MAX_ARM_SPEED = 5.0  # rad/s of the arms' targets: above what inverse kinematics asks for, below what motors can do
 GAZE_STEPS = 25  # after which the neck has turned from straight ahead to anywhere
 MAX_SPEED = 500.0  # largest |qvel| [m/s, rad/s] of a simulation that still means something
@@ -105,9 +102,11 @@ class Simulation(Worlds):
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(self.scene.physics) for _ in range(threads)]
         # Inputs and outputs of the rollouts, made once; the first rows are used where fewer worlds take part.
-        self._control = np.zeros((num_worlds, SUBSTEPS, model.nu + 7 * model.nmocap))
-        self._states = np.zeros((num_worlds, SUBSTEPS, self._physics.shape[1]))
-        self._sensors = np.zeros((TICKS, num_worlds, SUBSTEPS, model.nsensordata))
+        substeps = round(CONTROL_DT / model.opt.timestep)  # physics steps a tick
+        self._control = np.zeros((num_worlds, substeps, model.nu + 7 * model.nmocap))
+        self._states = np.zeros((num_worlds, substeps, self._physics.shape[1]))
+        self._sensors = np.zeros((TICKS, num_worlds, substeps, model.nsensordata))
+        self._stepped = np.arange(num_worlds)
         self.reset([task.default_state()] * num_worlds)
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
@@ -173,6 +172,7 @@ class Simulation(Worlds):
             self._neck[stepped] = ((1.0 - share) * previous_neck + share * next_neck)[stepped]
             rows = self._tick(tick, rows, now)
         forces[rows], collisions[rows] = self._measure(rows)
+        self._stepped = rows
         self._forces[rows], self._collisions[rows] = forces[rows, -1], collisions[rows, -1]
         self._command[stepped] = valid[stepped]
         self._stale[stepped] = True
@@ -185,6 +185,31 @@ class Simulation(Worlds):
             collision_forces=collisions,
             unstable=self._unstable.copy(),
         )
+
+    @property
+    def controller(self) -> Controller:
+        """The whole-body controller of these worlds."""
+        return self._controller
+
+    def readings(self, sensor: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return what a sensor read in every physics step of the last step of 0.1 s.
+
+        Args:
+            sensor: Its name in the model.
+
+        Returns:
+            The worlds that took part (n,), and their readings (n, physics steps, dim).
+
+        Raises:
+            UnknownNameError: The model has no such sensor.
+        """
+        model = self.model
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, sensor)
+        if index < 0:
+            raise UnknownNameError("sensor", sensor, [model.sensor(i).name for i in range(model.nsensor)])
+        first, size = int(model.sensor_adr[index]), int(model.sensor_dim[index])
+        values = self._sensors[:, : len(self._stepped), :, first : first + size]
+        return self._stepped.copy(), np.concatenate(list(values), axis=1)
 
     def snapshot(self, worlds: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return the whole state of worlds (all by default) as arrays with one row each."""
@@ -243,13 +268,13 @@ class Simulation(Worlds):
             control,
             control_spec=_CONTROL_SPEC,
             skip_checks=True,
-            nstep=SUBSTEPS,
+            nstep=control.shape[1],
             state=states,
             sensordata=self._sensors[tick, :count],
         )
         after = states[:, -1]
         # A MuJoCo warning ends a rollout early: time stands still or starts again. NaN fails the comparison of speeds.
-        on_time = np.abs(after[:, 0] - before[:, 0] - CONTROL_DT) < 0.5 * g1.PHYSICS_DT
+        on_time = np.abs(after[:, 0] - before[:, 0] - CONTROL_DT) < 0.5 * self.model.opt.timestep
         sound = on_time & (np.abs(after[:, self._velocities]).max(axis=1) < MAX_SPEED)
         if sound.all():
             self._physics[chosen] = after

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.errors import SceneError
-from gym_demohlm.simulation import SUBSTEPS, TICKS, Simulation
+from gym_demohlm.simulation import STEP_DT, Simulation
 from gym_demohlm.task import Task, get_task
 from lerobot_demohlm import demonstration as demonstrations
 
@@ -72,7 +72,7 @@ def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
         if not np.array_equal(options["state"], recorded) or not np.array_equal(recorded[:, -1], sim._physics):
             raise SceneError("other states by MuJoCo's step alone", "the simulation's, bit for bit", "report a bug")
     sim.close()
-    steps = len(commands) * num_worlds * TICKS * SUBSTEPS
+    steps = len(commands) * num_worlds * round(STEP_DT / sim.model.opt.timestep)
     return {
         "task": task.name,
         "num_worlds": num_worlds,

@@ -9,12 +9,12 @@ import importlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 
 from gym_demohlm.errors import DemoHLMError
 
 INTERRUPTED = 130  # exit code of a process that was stopped from the keyboard
-_EXTRAS = {"rsl_rl": "wbc", "ray": "ray"}  # modules that come with an extra of the distribution
+# Modules that come with an extra of the distribution.
+_EXTRAS = {"rsl_rl": "wbc", "matplotlib": "wbc", "av": "wbc", "ray": "ray"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +132,12 @@ VERBS = (
         example="demohlm benchmark controller",
     ),
     Verb(
+        name="benchmark reach",
+        module="gym_demohlm.wbc.reach",
+        help="measure how near the palms come to targets, and draw where they can",
+        example="demohlm benchmark reach --output docs/reach.png",
+    ),
+    Verb(
         name="benchmark simulation",
         module="lerobot_demohlm.benchmark_simulation",
         help="measure how many physics steps a second the simulation makes, and MuJoCo's step alone",
@@ -197,21 +203,19 @@ def _run(arguments: list[str]) -> int:
     for verb in VERBS:
         words = verb.name.split()
         if arguments[: len(words)] == words:
-            module = _load(verb)
-            parser = argparse.ArgumentParser(
-                prog=f"demohlm {verb.name}",
-                description=_sentence(verb.help),
-                epilog=f"example: {verb.example}",
-            )
-            module.add_arguments(parser)
-            return module.main(parser.parse_args(arguments[len(words) :])) or 0
+            return _carry_out(verb, arguments[len(words) :])
     _overview().parse_args(arguments)  # prints help, or says which verbs there are
     return 2
 
 
-def _load(verb: Verb) -> ModuleType:
+def _carry_out(verb: Verb, arguments: list[str]) -> int:
     try:
-        return importlib.import_module(verb.module)
+        module = importlib.import_module(verb.module)
+        parser = argparse.ArgumentParser(
+            prog=f"demohlm {verb.name}", description=_sentence(verb.help), epilog=f"example: {verb.example}"
+        )
+        module.add_arguments(parser)
+        return module.main(parser.parse_args(arguments)) or 0
     except ModuleNotFoundError as error:
         extra = _EXTRAS.get((error.name or "").split(".")[0])
         if extra is None:

@@ -7,7 +7,7 @@ import argparse
 import json
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,37 +138,55 @@ def from_rollouts(path: Path) -> Line:
 
 
 _CONTROLLER = (
-    ("linear_velocity_error", "linear velocity error, walking, instantaneous", "m/s", 0.142),
-    ("yaw_rate_error", "yaw rate error, walking, instantaneous", "rad/s", 0.154),
-    ("height_error", "height error, standing", "m", 0.028),
-    ("torso_pitch_error", "torso pitch error, standing", "rad", 0.049),
-    ("torso_roll_error", "torso roll error, standing", "rad", 0.016),
-    ("torso_yaw_error", "torso yaw error, standing", "rad", 0.013),
+    ("linear_velocity_error", "linear velocity error, walking, instantaneous", "m/s", "0.142"),
+    ("yaw_rate_error", "yaw rate error, walking, instantaneous", "rad/s", "0.154"),
+    ("height_error", "height error, standing", "m", "0.028"),
+    ("torso_pitch_error", "torso pitch error, standing", "rad", "0.049"),
+    ("torso_roll_error", "torso roll error, standing", "rad", "0.016"),
+    ("torso_yaw_error", "torso yaw error, standing", "rad", "0.013"),
+    ("standing_drift", "speed when told to stand", "m/s", "-"),
+    ("walking_slip", "slip of the soles that bear load, walking", "m/s", "-"),
+    ("walking_power", "mechanical power, walking", "W", "-"),
 )
+_DISTURBANCES = {
+    "none": "none",
+    "friction_0.4": "friction 0.4",
+    "torso_3kg": "3 kg on the torso",
+    "delay_20ms": "joint targets 20 ms late",
+    "timestep_1ms": "physics at 1 ms",
+}
 
 
 def _controller(lines: list[Line]) -> str:
-    runs = _latest(lines, "largest_roll", "largest_yaw")
+    runs = _latest(lines, "peer", "velocity_only")
 
-    def row(name: str, text: Callable[[Line], str], best: str) -> list[str]:
-        return [name, *(text(line) for line in runs), best]
+    def cell(line: Line, key: str, unit: str) -> str:
+        return "-" if line.get(key) is None else f"{line[key]:.3g} {unit}" if unit == "W" else f"{line[key]:.3f} {unit}"
 
     rows = [
-        row(name, lambda line, key=key, unit=unit: f"{line[key]:.3f} {unit}", f"{best} {unit}")
+        [name, *(cell(line, key, unit) for line in runs), best if best == "-" else f"{best} {unit}"]
         for key, name, unit, best in _CONTROLLER
     ]
-    rows.append(row("no fall in an episode", lambda line: f"{100 * line['survival']:.1f} %", "-"))
-    rows.append(row("the same, pushed", lambda line: f"{100 * line['survival_pushed']:.1f} %", "-"))
+    for key, name in (("survival", "no fall in an episode"), ("survival_pushed", "the same, pushed")):
+        rows.append([name, *(f"{100 * line[key]:.1f} %" for line in runs), "-"])
     columns = [
-        f"{line['num_worlds']} robots, {line['seconds']:.0f} s, torso roll to {line['largest_roll']} "
-        f"and yaw to {line['largest_yaw']} rad"
+        (line.get("peer") or "ours") + (", velocity commands only" if line.get("velocity_only") else "")
         for line in runs
     ]
+    first = runs[0]
     note = (
-        "\n\nRandom commands over the whole range, arms moving; pushes are 0.5 m/s every 3 s. "
-        "Published errors are those of HTD and AMO in their own protocols."
+        f"\n\n{first['num_worlds']} robots for {first['seconds']:.0f} s each, random commands over the whole range, "
+        f"redrawn every 4 s, arms moving, 0 to {first.get('largest_hand_load', 0):.0f} kg in each hand; pushes are "
+        "0.5 m/s every 3 s. Published errors are those of HTD and AMO in their own protocols."
     )
     return "**Whole-body controller**\n\n" + _table(["", *columns, "best published"], rows) + note
+
+
+def _robustness(lines: list[Line]) -> str:
+    latest = lines[-1]
+    rows = [[text, f"{100 * latest[f'survival/{name}']:.1f} %"] for name, text in _DISTURBANCES.items()]
+    header = ["disturbance", f"no fall in {latest['seconds']:.0f} s ({latest['num_worlds']} robots each, empty hands)"]
+    return "**Whole-body controller outside its training**\n\n" + _table(header, rows)
 
 
 def _time(lines: list[Line]) -> str:
@@ -193,6 +211,7 @@ _SECTIONS = (
     ("experiments.jsonl", experiments_tables),
     ("policies.jsonl", _policies),
     ("controller.jsonl", _controller),
+    ("robustness.jsonl", _robustness),
 )
 
 

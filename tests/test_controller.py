@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command
+from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc import benchmark
 
@@ -55,14 +56,19 @@ def test_benchmark_reports_every_number() -> None:
     assert 0.0 <= text["survival"] <= 1.0
 
 
-def test_training_runs_and_resumes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("num_processes", [1, 2])
+def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     train = pytest.importorskip("gym_demohlm.wbc.train")
-    small = {"num_worlds": 8, "num_variants": 1, "num_threads": 1}
-    train.train(tmp_path / "run", hours=3 / 3600, **small)
-    assert (tmp_path / "run" / "weights.npz").exists()
+    mdp = train.MdpConfig(num_worlds=8, num_variants=1)
+    config = train.TrainConfig(mdp=mdp, num_processes=num_processes, save_every=1, level_every=1)
+    train.train(tmp_path / "run", config, hours=2 / 3600)
+    lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
+    assert json.loads(lines[-1])["steps"] == len(lines) * 24 * 8 * num_processes
+    assert WholeBodyController(1, tmp_path / "run" / "weights.npz").weights.metadata["iteration"] == len(lines)
     with pytest.raises(train.SceneError, match="exists already"):
-        train.train(tmp_path / "run", hours=1 / 3600, **small)
-    train.train(tmp_path / "run", hours=1 / 3600, resume=True, **small)
+        train.train(tmp_path / "run", config, hours=1 / 3600)
+    train.train(tmp_path / "run", config, hours=1 / 3600, resume=True)
+    assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["iteration"] > len(lines)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from gym_demohlm.control import command
+from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik import IKSettings, IKSolution, WholeBodyIK
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1, robot
@@ -44,16 +44,28 @@ class ObedientRobot:
             np.arcsin(R_pelvis_torso[2, 1]),
             np.arctan2(-R_pelvis_torso[2, 0], R_pelvis_torso[2, 2]),
         ]
-        q[WAIST.stop :] = self.command[command.ARMS]
+        stiffness = np.array([g1.motor(joint).stiffness for joint in g1.ARM_JOINTS])
+        held = self.command[command.ARMS]
+        q[WAIST.stop :] = held
+        for _ in range(5):  # the arms sag as those of PD servos do: stiffness times sag is the torque of gravity
+            q[WAIST.stop :] = held - self.gravity(T, q) / stiffness
         return T, q
+
+    def gravity(self, T_world_pelvis: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Return the torques (14,) that hold the arms in a posture."""
+        self.put(T_world_pelvis, q)
+        mujoco.mj_forward(self.model, self.data)
+        return np.array([self.data.joint(f"{joint}_joint").qfrc_bias[0] for joint in g1.ARM_JOINTS])
+
+    def put(self, T_world_pelvis: np.ndarray, q: np.ndarray) -> None:
+        self.data.qpos[:3] = T_world_pelvis[:3, 3]
+        mujoco.mju_mat2Quat(self.data.qpos[3:7], T_world_pelvis[:3, :3].reshape(9))
+        for joint, angle in zip(g1.BODY_JOINTS, q, strict=True):
+            self.data.joint(f"{joint}_joint").qpos = angle
 
     def palms(self) -> list[np.ndarray]:
         """Return the poses of both palms, by MuJoCo."""
-        T, q = self.measure()
-        self.data.qpos[:3] = T[:3, 3]
-        mujoco.mju_mat2Quat(self.data.qpos[3:7], T[:3, :3].reshape(9))
-        for joint, angle in zip(g1.BODY_JOINTS, q, strict=True):
-            self.data.joint(f"{joint}_joint").qpos = angle
+        self.put(*self.measure())
         mujoco.mj_kinematics(self.model, self.data)
         return [pose_of(self.data.site(f"{side}_palm")) for side in g1.SIDES]
 
@@ -176,14 +188,17 @@ def test_a_target_out_of_reach_is_said_to_be_missed_and_the_arms_come_to_rest(ik
 
 
 def test_errors_are_those_of_the_palms(ik: WholeBodyIK) -> None:
-    """With a torso that stands still, the reported errors are what MuJoCo measures, part of the way there too."""
+    """With a torso that stands still, the reported errors are what MuJoCo measures, part of the way there too.
+
+    To a few millimetres: the arms' sag is that where they are, not where they go.
+    """
     who, targets = ObedientRobot(), around(0.5, 0.9)
     solution = call(ik, who, targets)
     who.command[command.ARMS] = solution.command[command.ARMS]  # the torso has not moved yet
     for index, (palm, target) in enumerate(zip(who.palms(), targets, strict=True)):
-        assert solution.position_error[index] == pytest.approx(np.linalg.norm(palm[:3, 3] - target[:3, 3]), abs=1e-9)
+        assert solution.position_error[index] == pytest.approx(np.linalg.norm(palm[:3, 3] - target[:3, 3]), abs=5e-3)
         angle = np.arccos((np.trace(palm[:3, :3].T @ target[:3, :3]) - 1) / 2)
-        assert solution.orientation_error[index] == pytest.approx(angle, abs=1e-6)
+        assert solution.orientation_error[index] == pytest.approx(angle, abs=0.02)
 
 
 def test_a_hand_without_target_keeps_its_arm(ik: WholeBodyIK) -> None:
@@ -268,3 +283,32 @@ def test_torso_follows_the_head() -> None:
     reached = who.data.site("head_camera").xpos
     assert np.linalg.norm(reached - goal[:3, 3]) < 0.4 * np.linalg.norm(start - goal[:3, 3])
     assert np.array_equal(who.command[command.ARMS], command.rest()[command.ARMS])
+
+
+def test_gravity_costs_no_position(ik: WholeBodyIK) -> None:
+    """Arms that sag by centimetres under gravity still bring the palms to within a millimetre."""
+    who, targets = ObedientRobot(), around(0.45, 0.9)
+    who.follow(ik, targets, 20)
+    _, q = who.measure()
+    sagged = np.linalg.norm(who.command[command.ARMS] - q[WAIST.stop :])
+    assert sagged > 0.03
+    for palm, target in zip(who.palms(), targets, strict=True):
+        assert np.linalg.norm(palm[:3, 3] - target[:3, 3]) < 0.001
+
+
+def test_a_walking_torso_stays_where_the_controller_lets_it(ik: WholeBodyIK) -> None:
+    who, targets = ObedientRobot(), around(0.35, 0.3)
+    for _ in range(20):
+        T, q = who.measure()
+        who.command = ik.solve(
+            T_world_pelvis=T,
+            joint_positions=q,
+            T_world_left=targets[0],
+            T_world_right=targets[1],
+            previous=who.command,
+            walking=True,
+        ).command
+    height, roll, pitch, yaw = who.command[command.TORSO]
+    assert height == pytest.approx(reference.WALK_HEIGHT, abs=0.02) and height >= reference.WALK_HEIGHT - 1e-9
+    assert roll == pytest.approx(0.0, abs=1e-9) and abs(yaw) <= reference.WALK_YAW
+    assert 0.2 < pitch <= reference.WALK_PITCH[1] + 1e-9

@@ -33,6 +33,22 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     assert not results.update_readme(readme, tmp_path)
 
 
+def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
+    numbers = {"num_worlds": 8, "seconds": 20.0, "survival": 1.0, "survival_pushed": 0.5, "tick_share": 0.02}
+    errors = {key: 0.08 for key, *_ in results._CONTROLLER}
+    ours = {**numbers, **errors, "largest_roll": 0.4, "largest_yaw": 1.0, "largest_hand_load": 2.0}
+    axes = {"forward": [-1.0, 1.0]}
+    peer = {**ours, "peer": "holosoma", "linear_velocity_error": 0.25, "commanded": axes, "trained_for": axes}
+    peer |= dict.fromkeys(("height_error", "largest_roll", "largest_yaw"))
+    path = tmp_path / "controller.jsonl"
+    results.append(path, "demohlm benchmark controller", ours)
+    results.append(path, "demohlm benchmark controller --peer holosoma --peer-range", peer)
+    text = results.tables(tmp_path)
+    assert "|  | ours | holosoma | best published |" in text
+    assert "| linear velocity error, walking, instantaneous | 0.080 m/s | 0.250 m/s | 0.142 m/s |" in text
+    assert "| height error, standing | 0.080 m | - | 0.028 m |" in text
+
+
 def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
     with pytest.raises(DatasetError, match=r"generation\.jsonl:2"):

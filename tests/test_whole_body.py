@@ -2,13 +2,17 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from gym_demohlm.control import command, features, reference
+from gym_demohlm.control import arm_load, command, features, odometry, reference
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.wbc import quasi_static
+from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 
 
 def _random_inputs(count: int, seed: int) -> dict[str, np.ndarray]:
@@ -85,32 +89,127 @@ def test_mirroring_twice_is_the_identity() -> None:
 
 def test_clock_rests_when_the_command_stops_and_starts_again() -> None:
     phase, stopped, standing = np.array([0.2]), np.array([0.0]), np.array([False])
-    still = np.zeros((1, 3))
+    still, calm = np.zeros((1, 3)), np.array([False])
     ticks = 0
     while not standing[0]:
-        phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still)
+        phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still, calm)
         ticks += 1
         assert ticks < 100
     assert ticks * reference.CONTROL_DT >= reference.STEPS_TO_SQUARE_UP * reference.GAIT.period_s
     assert phase[0] in reference.REST_PHASES
     rested = phase.copy()
-    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still)
+    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, still, calm)
     assert standing[0] and phase[0] == rested[0]
-    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, np.array([[0.3, 0, 0]]))
+    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, np.array([[0.3, 0, 0]]), calm)
     assert not standing[0] and phase[0] != rested[0]
+
+
+def test_a_robot_that_loses_balance_takes_steps_and_then_rests() -> None:
+    phase, stopped, standing = np.array([0.45, 0.45]), np.array([2.0, 2.0]), np.array([True, True])
+    startled = reference.startled(np.array([[0.0, 0.1], [0.4, 0.0]]), np.zeros(2))
+    assert startled.tolist() == [False, True]
+    phase, stopped, standing = reference.advance_clock(phase, stopped, standing, np.zeros((2, 3)), startled)
+    assert standing.tolist() == [True, False]
+    for _ in range(100):
+        phase, stopped, standing = reference.advance_clock(
+            phase, stopped, standing, np.zeros((2, 3)), np.zeros(2, bool)
+        )
+    assert standing.all()
+
+
+def test_waist_turns_the_torso_to_its_commanded_attitude() -> None:
+    rng = np.random.default_rng(6)
+    roll, pitch, yaw = rng.uniform([[-0.3], [-0.25], [-0.8]], [[0.3], [0.8], [0.8]], (3, 200))
+    forward, right = reference.lean(roll, pitch, yaw)
+    tilt, bank = reference.pelvis_pitch(forward), 0.2 * right
+    waist_roll, waist_pitch = reference.waist_angles(roll, pitch, yaw, tilt, bank)
+    inside = (np.abs(waist_roll) < 0.499) & (np.abs(waist_pitch) < 0.499)
+    assert inside.mean() > 0.7
+    found = Rotation.from_euler("YX", np.column_stack([tilt, bank])) * Rotation.from_euler(
+        "ZXY", np.column_stack([yaw, waist_roll, waist_pitch])
+    )
+    up = found.as_matrix()[:, 2]
+    np.testing.assert_allclose(np.arctan2(up[:, 1], up[:, 2])[inside], roll[inside], atol=1e-9)
+    np.testing.assert_allclose(np.arctan2(-up[:, 0], np.hypot(up[:, 1], up[:, 2]))[inside], pitch[inside], atol=1e-9)
+
+
+def _leg_model() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = g1.load_body_spec().compile()
+    return model, mujoco.MjData(model)
+
+
+def test_sole_points_agree_with_the_model() -> None:
+    model, data = _leg_model()
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        data.qpos[:] = 0
+        data.qpos[3] = 1
+        legs = rng.uniform(-0.5, 0.8, 12)
+        for joint, value in zip(g1.LEG_JOINTS, legs, strict=True):
+            data.joint(f"{joint}_joint").qpos[:] = value
+        mujoco.mj_forward(model, data)
+        soles = np.stack([data.site(f"{side}_sole").xpos for side in g1.SIDES])
+        np.testing.assert_allclose(odometry.sole_points(legs[None])[0], soles, atol=1e-9)
+
+
+def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
+    model, data = _leg_model()
+    rng = np.random.default_rng(8)
+    for _ in range(5):
+        yaw = rng.uniform(-3, 3)
+        attitude = Rotation.from_euler("ZYX", [yaw, *rng.uniform(-0.3, 0.3, 2)])
+        x, y, z, w = attitude.as_quat()
+        legs = np.concatenate([[-0.2, 0.05, 0.1, 0.4, -0.2, 0.0], [-0.9, 0.0, 0.0, 1.6, -0.7, 0.0]])  # right foot up
+        data.qpos[:], data.qvel[:] = 0, 0
+        data.qpos[3:7] = [w, x, y, z]
+        data.qvel[6:18], data.qvel[3:6] = rng.normal(0, 1, 12), rng.normal(0, 0.5, 3)
+        for joint, value in zip(g1.LEG_JOINTS, legs, strict=True):
+            data.joint(f"{joint}_joint").qpos[:] = value
+        mujoco.mj_forward(model, data)
+        velocity = np.zeros(6)
+        site = mujoco.mjtObj.mjOBJ_SITE
+        mujoco.mj_objectVelocity(model, data, site, data.site("left_sole").id, velocity, 0)
+        expected = Rotation.from_euler("z", -yaw).apply(-velocity[3:])[
+            :2
+        ]  # the pelvis must move so that the sole rests
+        down = attitude.inv().apply([0.0, 0.0, -1.0])
+        found, tilt = odometry.estimate(down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18])
+        np.testing.assert_allclose(found[0], expected, atol=1e-3)
+        normal = data.site("left_sole").xmat.reshape(3, 3)[2, 2]
+        assert tilt[0] == pytest.approx(np.arccos(normal), abs=1e-6)
 
 
 def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES)))
-    pose = reference.Reference(table)
+    pose = reference.Reference(table, np.zeros((*table.shape, 3)), np.zeros(arm_load.TABLE_SHAPE)).pose
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
-    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool))
+    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool), np.zeros((7, 2)), np.zeros((7, 2)))
     hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)
     np.testing.assert_allclose(hip + knee + ankle, 0, atol=1e-12)
+
+
+def test_load_of_the_waist_is_that_of_the_model() -> None:
+    found = quasi_static.torso_load()
+    np.testing.assert_allclose(found, (reference.TORSO_LOAD_UP, reference.TORSO_LOAD_AHEAD), rtol=0.01)
+
+
+def test_aiming_further_by_the_sag_holds_the_height() -> None:
+    errors = {}
+    for name in ("pose", "targets"):
+        mdp = WholeBodyMdp(MdpConfig(num_worlds=16, num_variants=1, seed=3, largest_delay=0))
+        mdp.level = 0.3
+        if name == "pose":
+            mdp.reference.sag = lambda command, *_: np.zeros((len(command), reference.NUM_LOWER))  # type: ignore[method-assign]
+        for _ in range(20):
+            mdp.step(np.zeros((16, features.ACTION_SIZE)))
+        rests = mdp.standing
+        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.commands.current[rests, 3]).mean()
+    assert errors["targets"] < 0.006
+    assert errors["targets"] < 0.5 * errors["pose"]
 
 
 @pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04broken"])
@@ -124,7 +223,7 @@ def test_damaged_weights_are_a_clear_error(tmp_path: Path, content: bytes) -> No
 def test_weights_of_another_format_are_refused(tmp_path: Path) -> None:
     with np.load(DEFAULT_WEIGHTS) as arrays:
         loaded = dict(arrays)
-    text = loaded["metadata"].tobytes().replace(b'"format": 1', b'"format": 9')
+    text = loaded["metadata"].tobytes().replace(b'"format": 2', b'"format": 9')
     loaded["metadata"] = np.frombuffer(text, dtype=np.uint8)
     path = tmp_path / "weights.npz"
     np.savez(path, allow_pickle=False, **loaded)

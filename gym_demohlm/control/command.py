@@ -30,8 +30,8 @@ LEFT_ARM, RIGHT_ARM, ARMS = slice(7, 14), slice(14, 21), slice(7, 21)
 GRIPPERS = slice(21, 23)
 
 _ARM_RANGES = g1.joint_ranges(g1.read_mjcf())[len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS) :]  # (14, 2) [rad]
-LOWER = np.concatenate([[-0.3, -0.3, -0.6, 0.42, -0.2, -0.1, -0.6], _ARM_RANGES[:, 0], [0.0, 0.0]])
-UPPER = np.concatenate([[0.5, 0.3, 0.6, 0.76, 0.2, 1.1, 0.6], _ARM_RANGES[:, 1], [1.0, 1.0]])
+LOWER = np.concatenate([[-0.5, -0.4, -1.0, 0.40, -0.4, -0.3, -1.0], _ARM_RANGES[:, 0], [0.0, 0.0]])
+UPPER = np.concatenate([[0.8, 0.4, 1.0, 0.76, 0.4, 1.2, 1.0], _ARM_RANGES[:, 1], [1.0, 1.0]])
 for _bound in (LOWER, UPPER):
     _bound.setflags(write=False)
 

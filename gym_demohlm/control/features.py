@@ -1,7 +1,7 @@
 """What the whole-body policy sees and does: the layout of its observation and action, shared by training and run time.
 
 Only signals that a real G1 has: gyro, gravity in the pelvis frame, joint positions and velocities, the last action, the
-arm targets, the command and the gait clock.
+arm targets, the command, the gait clock and the velocity that leg odometry finds in them.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ OBSERVED_ARM_INDEX = np.array([g1.ARM_JOINTS.index(joint) for joint in OBSERVED_
 HISTORY = 3  # control ticks, oldest first
 FRAME_SIZE = 6 + 2 * len(OBSERVED_JOINTS)
 ACTION_SIZE = len(DRIVEN_JOINTS)
-OBSERVATION_SIZE = HISTORY * FRAME_SIZE + ACTION_SIZE + len(OBSERVED_ARM_JOINTS) + 7 + 3
+OBSERVATION_SIZE = HISTORY * FRAME_SIZE + ACTION_SIZE + len(OBSERVED_ARM_JOINTS) + 7 + 3 + 2
 ACTION_SCALE = np.array([0.30, 0.20, 0.20, 0.35, 0.30, 0.20] * 2 + [0.20, 0.20, 0.25])  # rad for an action of 1
 ACTION_LIMIT = 4.0
 
@@ -52,6 +52,7 @@ def observation(
     command: np.ndarray,
     phase: np.ndarray,
     standing: np.ndarray,
+    velocity: np.ndarray,
 ) -> np.ndarray:
     """Return the policy's observation, (N, OBSERVATION_SIZE).
 
@@ -62,13 +63,14 @@ def observation(
         command: (N, 7 or more), slewed.
         phase: (N,) gait clock.
         standing: (N,) bool.
+        velocity: (N, 2) from the odometry [m/s].
     """
     walking = (~standing).astype(np.float64)
     clock = [np.sin(2 * np.pi * phase) * walking, np.cos(2 * np.pi * phase) * walking, standing.astype(np.float64)]
     command = (command[:, :7] - _COMMAND_OFFSET) * _COMMAND_SCALE
     rows = len(history)
     return np.concatenate(
-        [history.reshape(rows, -1), last_action, arm_targets, command, np.stack(clock, axis=1)], axis=1
+        [history.reshape(rows, -1), last_action, arm_targets, command, np.stack(clock, axis=1), velocity], axis=1
     )
 
 
@@ -96,11 +98,18 @@ _FRAME_MIRROR = [
 ]
 COMMAND_MIRROR: tuple[list[int], list[float]] = (list(range(7)), [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 _CLOCK_MIRROR: tuple[list[int], list[float]] = ([0, 1, 2], [-1.0, -1.0, 1.0])  # half a period later
+_VELOCITY_MIRROR: tuple[list[int], list[float]] = ([0, 1], [1.0, -1.0])
 
 # mirrored[:, i] = sign[i] * x[:, source[i]]: the observation and action of the robot seen in a mirror.
 OBSERVATION_MIRROR = _join(
     _FRAME_MIRROR * HISTORY
-    + [_mirror_joints(DRIVEN_JOINTS), _mirror_joints(OBSERVED_ARM_JOINTS), COMMAND_MIRROR, _CLOCK_MIRROR]
+    + [
+        _mirror_joints(DRIVEN_JOINTS),
+        _mirror_joints(OBSERVED_ARM_JOINTS),
+        COMMAND_MIRROR,
+        _CLOCK_MIRROR,
+        _VELOCITY_MIRROR,
+    ]
 )
 ACTION_MIRROR = _join([_mirror_joints(DRIVEN_JOINTS)])
 

@@ -3,8 +3,9 @@
 Two quadratic problems a call, with placo's kinematics and solver. The torso pass sees the robot as the whole-body
 controller moves it: pelvis x, y and heading are as measured, and four joints that are the command itself (height, yaw,
 pitch, roll) carry the torso. The arm pass moves the arms alone on the torso as it is measured now, so the hands are
-right while the torso is still on its way. Bounds and rates are limits inside the problems: an unreachable target
-stretches the robot and stops.
+right while the torso is still on its way. It solves for where the arms shall be; the command is that and what the PD
+servos of the arms sag under gravity, so no error has to build up first, and a squeeze gains no force with time. Bounds
+and rates are limits inside the problems: an unreachable target stretches the robot and stops.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 import placo
 
-from gym_demohlm.control import command
+from gym_demohlm.control import command, reference
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.urdf import urdf
@@ -27,6 +28,10 @@ _ROOT, _TORSO = "heading", "torso_link"
 _TORSO_AXES = (("torso_height", "0 0 1"), ("torso_yaw", "0 0 1"), ("torso_pitch", "0 1 0"), ("torso_roll", "1 0 0"))
 _TORSO_COLUMNS = [command.NAMES.index(f"{name}.pos") for name, _ in _TORSO_AXES]
 _ARM_COLUMNS = [*range(command.SIZE)[command.ARMS]]
+_IS_ELBOW = np.array([name.endswith("elbow.pos") for name in command.NAMES])
+_WALK_LOWER, _WALK_UPPER = command.LOWER.copy(), command.UPPER.copy()
+_WALK_LOWER[command.TORSO] = [reference.WALK_HEIGHT, 0.0, reference.WALK_PITCH[0], -reference.WALK_YAW]
+_WALK_UPPER[command.TORSO] = [command.UPPER[command.HEIGHT], 0.0, reference.WALK_PITCH[1], reference.WALK_YAW]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +42,8 @@ class IKSettings:
         height_rate: Fastest change of the torso height [m/s].
         torso_rate: Fastest change of torso roll, pitch and yaw [rad/s].
         arm_rate: Fastest change of an arm joint [rad/s].
-        hand_position_weight: Pull of a palm to its target position.
+        torso_position_weight: Pull of a palm to its target position, in the torso pass.
+        arm_position_weight: The same in the arm pass; high, so that an orientation out of reach costs no position.
         torso_orientation_weight: Pull of a palm to its target orientation, in the torso pass.
         arm_orientation_weight: The same in the arm pass.
         height_weight: Pull of the torso height to `g1.PELVIS_HEIGHT`.
@@ -45,6 +51,9 @@ class IKSettings:
         yaw_weight: Pull of the torso yaw to straight ahead.
         roll_weight: Pull of the torso roll to zero.
         head_weight: Pull of the head to its target position, in the torso pass; the gaze controller turns it.
+        furthest_back: Torso pitch beyond which it does not lean back [rad]: no target in front needs it.
+        straightest_elbow: Elbow angle that the torso pass counts on at most [rad] (straight is about 1.6): what is left
+            makes up for a torso that does not get all the way.
         torso_posture_weight: Pull of the arms to the home posture, in the torso pass.
         arm_posture_weight: The same in the arm pass; it chooses the elbow's height.
         regularization: Damping of each step.
@@ -55,7 +64,8 @@ class IKSettings:
     height_rate: float = 0.3
     torso_rate: float = 0.8
     arm_rate: float = 4.0
-    hand_position_weight: float = 10.0
+    torso_position_weight: float = 10.0
+    arm_position_weight: float = 50.0
     torso_orientation_weight: float = 0.05
     arm_orientation_weight: float = 0.5
     height_weight: float = 0.15
@@ -63,6 +73,8 @@ class IKSettings:
     yaw_weight: float = 0.1
     roll_weight: float = 1.0
     head_weight: float = 1.0
+    furthest_back: float = -0.1
+    straightest_elbow: float = 1.0
     torso_posture_weight: float = 0.001
     arm_posture_weight: float = 0.001
     regularization: float = 1e-4
@@ -95,7 +107,7 @@ class _Pass:
     """
 
     def __init__(
-        self, urdf_text: str, pulls: dict[str, tuple[float, float]], orientation_weight: float, settings: IKSettings
+        self, urdf_text: str, pulls: dict[str, tuple[float, float]], weights: tuple[float, float], settings: IKSettings
     ) -> None:
         """Load the robot.
 
@@ -103,7 +115,7 @@ class _Pass:
             urdf_text: Its description.
             pulls: For each joint that may move, in the order of all arrays, the angle [rad] or height [m] that it is
                 pulled to, and the weight.
-            orientation_weight: Pull of a palm to its target orientation.
+            weights: Pulls of a palm to its target position and orientation.
             settings: The other weights.
         """
         self.settings = settings
@@ -111,8 +123,7 @@ class _Pass:
         self.posture, self.posture_weight = np.array(list(pulls.values())).T
         self.q_columns = [self.robot.get_joint_offset(_joint(name)) for name in pulls]
         self.v_columns = [self.robot.get_joint_v_offset(_joint(name)) for name in pulls]
-        position = [settings.hand_position_weight] * 3
-        self.hand_scale = np.sqrt(position + [orientation_weight] * 3)  # (6,)
+        self.hand_scale = np.sqrt(np.repeat(weights, 3))  # (6,)
 
     def solve(
         self,
@@ -203,24 +214,28 @@ class WholeBodyIK:
         qpos_address = {name: int(model.joint(_joint(name)).qposadr[0]) for name in g1.BODY_JOINTS}
         self._qpos = np.array([qpos_address[name] for name in g1.BODY_JOINTS])
         self._pelvis, self._torso = model.body("pelvis").id, model.body(_TORSO).id
+        self._base_quat = int(model.joint(model.body_jntadr[self._pelvis]).qposadr[0]) + 3
+        self._arm_dofs = np.array([int(model.joint(_joint(name)).dofadr[0]) for name in g1.ARM_JOINTS])
+        self._arm_stiffness = np.array([g1.motor(name).stiffness for name in g1.ARM_JOINTS])  # (14,) [Nm/rad]
 
         arms = {_joint(name) for name in g1.ARM_JOINTS}
         others = {model.joint(index).name for index in range(model.njnt)} - arms
         upper_body = urdf(model, _TORSO, locked=others)
-        T_pelvis_torso = self._pelvis_to_torso(np.zeros(len(g1.BODY_JOINTS)))
+        T_pelvis_torso = self._pelvis_to_torso(np.zeros(len(g1.BODY_JOINTS)), np.eye(4))
         home = dict(zip(g1.ARM_JOINTS, g1.HOME[-len(g1.ARM_JOINTS) :], strict=True))
         weights = self.settings
         arm_pulls = {name: (angle, weights.arm_posture_weight) for name, angle in home.items()}
-        self._arm_pass = _Pass(upper_body, arm_pulls, weights.arm_orientation_weight, weights)
+        hand = (weights.arm_position_weight, weights.arm_orientation_weight)
+        self._arm_pass = _Pass(upper_body, arm_pulls, hand, weights)
         torso_pulls = {
             "torso_height": (g1.PELVIS_HEIGHT, weights.height_weight),
             "torso_yaw": (0.0, weights.yaw_weight),
             "torso_pitch": (0.0, weights.pitch_weight),
             "torso_roll": (0.0, weights.roll_weight),
         } | {name: (angle, weights.torso_posture_weight) for name, angle in home.items()}
-        self._torso_pass = _Pass(
-            _on_torso_joints(upper_body, T_pelvis_torso[:3, 3]), torso_pulls, weights.torso_orientation_weight, weights
-        )
+        hand = (weights.torso_position_weight, weights.torso_orientation_weight)
+        on_torso_joints = _on_torso_joints(upper_body, T_pelvis_torso[:3, 3])
+        self._torso_pass = _Pass(on_torso_joints, torso_pulls, hand, weights)
 
     def solve(
         self,
@@ -231,18 +246,22 @@ class WholeBodyIK:
         T_world_right: np.ndarray | None,
         previous: np.ndarray,
         T_world_head: np.ndarray | None = None,
+        T_world_heading: np.ndarray | None = None,
+        walking: bool = False,
         dt: float = 0.1,
     ) -> IKSolution:
         """Return the command that brings the palms to their targets, or as near as one step of `dt` gets.
 
         Args:
-            T_world_pelvis: Measured pose of the pelvis, (4, 4).
-            joint_positions: Measured, in `g1.BODY_JOINTS` order, (29,) [rad].
+            T_world_pelvis: Measured pose of the pelvis, (4, 4); or expected, see `foresight`.
+            joint_positions: Likewise, in `g1.BODY_JOINTS` order, (29,) [rad].
             T_world_left: Target of ``left_palm``, (4, 4); None keeps the previous arm.
             T_world_right: Target of ``right_palm``, likewise.
             previous: The command before, (23,); changes are limited to the rates of the settings times `dt`.
             T_world_head: Target of ``head_camera``, (4, 4), of which the torso pass follows the position; None leaves
                 the torso to the hands alone.
+            T_world_heading: Where the torso pass lets the robot stand, (4, 4) on the floor; else below the pelvis.
+            walking: Whether the torso must stay where the controller lets it while it steps.
             dt: Time since then [s].
 
         Raises:
@@ -256,23 +275,26 @@ class WholeBodyIK:
             for name, target in (("T_world_left", T_world_left), ("T_world_right", T_world_right))
         ]
         head = None if T_world_head is None else _checked("T_world_head", T_world_head, (4, 4))[:3, 3]
-        lower, upper = self._window(previous, dt)
+        if T_world_heading is None:
+            T_world_heading = _heading(T_world_pelvis)
+        T_world_heading = _checked("T_world_heading", T_world_heading, (4, 4))
+        lower, upper = self._window(previous, dt, walking)
         solution = previous.copy()
         solution[command.VELOCITY] = 0.0
 
         columns = _TORSO_COLUMNS + _ARM_COLUMNS
+        bent = np.minimum(upper, np.where(_IS_ELBOW, np.maximum(self.settings.straightest_elbow, lower), np.inf))
         planned = self._torso_pass.solve(
-            _heading(T_world_pelvis), previous[columns], lower[columns], upper[columns], targets, head
+            T_world_heading, np.minimum(previous, bent)[columns], lower[columns], bent[columns], targets, head
         )
+        planned_errors = self._torso_pass.errors(targets)
+        T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions, T_world_pelvis)
         if head is not None or any(target is not None for target in targets):
             solution[_TORSO_COLUMNS] = planned[: len(_TORSO_COLUMNS)]
-        planned_errors = self._torso_pass.errors(targets)
-
-        T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions)
-        arms = self._arm_pass.solve(
-            T_world_torso, previous[_ARM_COLUMNS], lower[_ARM_COLUMNS], upper[_ARM_COLUMNS], targets
-        )
-        solution[_ARM_COLUMNS] = arms
+        sag = self._sag()
+        start, lowest, highest = (bound[_ARM_COLUMNS] - sag for bound in (previous, lower, upper))
+        arms = self._arm_pass.solve(T_world_torso, start, lowest, highest, targets)
+        solution[_ARM_COLUMNS] = np.clip(arms + sag, lower[_ARM_COLUMNS], upper[_ARM_COLUMNS])
         for arm, target in zip(_ARMS, targets, strict=True):
             if target is None:
                 solution[arm] = previous[arm]
@@ -284,25 +306,38 @@ class WholeBodyIK:
             planned_position_error=np.linalg.norm(planned_errors[:, :3], axis=1),
         )
 
-    def _window(self, previous: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of the next command, (23,) each: its own bounds met with what the rates allow."""
+    def _window(self, previous: np.ndarray, dt: float, walking: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of the next command, (23,) each: its own bounds met with what the rates allow.
+
+        A robot that starts to walk while it bends further than it may has its torso brought back at the fastest rate.
+        """
         step = np.zeros(command.SIZE)
         step[command.TORSO] = self.settings.torso_rate * dt
         step[command.HEIGHT] = self.settings.height_rate * dt
         step[command.ARMS] = self.settings.arm_rate * dt
-        return np.maximum(command.LOWER, previous - step), np.minimum(command.UPPER, previous + step)
+        lowest, highest = (_WALK_LOWER, _WALK_UPPER) if walking else (command.LOWER, command.UPPER)
+        lowest = lowest.copy()
+        lowest[command.PITCH] = max(lowest[command.PITCH], self.settings.furthest_back)
+        return np.clip(lowest, previous - step, previous + step), np.clip(highest, previous - step, previous + step)
 
-    def _pelvis_to_torso(self, joint_positions: np.ndarray) -> np.ndarray:
-        """Return the torso's pose in the pelvis frame, (4, 4)."""
+    def _sag(self) -> np.ndarray:
+        """Return how far gravity holds the arms back from their targets, where `_pelvis_to_torso` put them, (14,)."""
+        mujoco.mj_comPos(self._model, self._data)
+        torques = np.zeros(self._model.nv)
+        mujoco.mj_rne(self._model, self._data, 0, torques)  # at rest: what holds the robot against gravity
+        return torques[self._arm_dofs] / self._arm_stiffness
+
+    def _pelvis_to_torso(self, joint_positions: np.ndarray, T_world_pelvis: np.ndarray) -> np.ndarray:
+        """Return the torso's pose in the pelvis frame, (4, 4); leave the kinematics there."""
         self._data.qpos[self._qpos] = joint_positions
+        quat_wxyz = self._data.qpos[self._base_quat : self._base_quat + 4]
+        mujoco.mju_mat2Quat(quat_wxyz, T_world_pelvis[:3, :3].reshape(9))
         mujoco.mj_kinematics(self._model, self._data)
-        T_world_pelvis, T_world_torso = np.eye(4), np.eye(4)
-        for T, body in ((T_world_pelvis, self._pelvis), (T_world_torso, self._torso)):
-            T[:3, :3], T[:3, 3] = self._data.xmat[body].reshape(3, 3), self._data.xpos[body]
-        R_pelvis_world = T_world_pelvis[:3, :3].T
+        rotations, positions = self._data.xmat, self._data.xpos
+        R_pelvis_world = rotations[self._pelvis].reshape(3, 3).T
         T_pelvis_torso = np.eye(4)
-        T_pelvis_torso[:3, :3] = R_pelvis_world @ T_world_torso[:3, :3]
-        T_pelvis_torso[:3, 3] = R_pelvis_world @ (T_world_torso[:3, 3] - T_world_pelvis[:3, 3])
+        T_pelvis_torso[:3, :3] = R_pelvis_world @ rotations[self._torso].reshape(3, 3)
+        T_pelvis_torso[:3, 3] = R_pelvis_world @ (positions[self._torso] - positions[self._pelvis])
         return T_pelvis_torso
 
 

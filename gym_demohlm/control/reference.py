@@ -1,14 +1,17 @@
 """A command and a gait clock -> the closed-form reference joint targets that the whole-body policy corrects.
 
-Standing: a planar two-link leg puts the soles under a pelvis at the commanded height, shifted fore and aft by a
-quasi-static table so that the centre of mass stays over the feet (the idea of AMO's adapter). Walking: a clocked
-trot in place with foot placement from the velocity command. Open loop it falls within seconds; it is a starting point.
+Standing: a planar two-link leg puts the soles under a pelvis at the commanded height, shifted by a quasi-static table
+so that the centre of mass stays over the feet (the idea of AMO's adapter), and waist angles that turn the torso to
+its commanded roll and pitch exactly. Walking: a clocked gait with foot placement from the velocity command and from
+the velocity that leg odometry finds (Raibert). Open loop it falls within seconds; it is a starting point.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from gym_demohlm.control import leg_ik
+from gym_demohlm.control.arm_load import ArmLoad
 from gym_demohlm.robot import g1
 
 CONTROL_DT = 0.02  # s: 50 Hz
@@ -24,12 +27,16 @@ class Gait:
         swing: Part of the period in which a foot is in the air; the right foot swings half a period after the left.
         lift: Height of the sole at mid-swing [m].
         sway: Amplitude of the lateral sway of the pelvis [m].
+        widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
+        placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
     """
 
-    period_s: float = 0.72
+    period_s: float = 0.64
     swing: float = 0.4
-    lift: float = 0.07
-    sway: float = 0.03
+    lift: float = 0.06
+    sway: float = 0.025
+    widen: float = 0.06
+    placement_s: float = 0.12
 
 
 GAIT = Gait()
@@ -37,18 +44,40 @@ GAIT = Gait()
 REST_PHASES = (0.5 * (0.5 + GAIT.swing), 0.5 + 0.5 * (0.5 + GAIT.swing))
 WALK_THRESHOLD = np.array([0.04, 0.04, 0.08])  # m/s, m/s, rad/s: slower commands mean "stand"
 SLEW = np.array([1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5])  # fastest change of the command's first seven numbers, per second
-WALK_HEIGHT, WALK_PITCH, WALK_YAW = 0.66, 0.4, 0.3  # m, rad, rad: lowest, most bent, most turned while stepping
+WALK_HEIGHT = 0.60  # m: lowest while stepping
+WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
+WALK_YAW = 0.3  # rad: most turned while stepping
+# A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles:
+# it stays less than 6 cm behind their middle, arms at home, above this torso pitch [rad], linear in height [m].
+LEAN_BACK_HEIGHT, LEAN_BACK_PITCH, LEAN_BACK_SLOPE = 0.40, 0.03, -2.75
 STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
+# A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
+STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
 
-# Grid of the quasi-static table and its axes: pelvis height [m] and torso pitch [rad].
+# Grid of the quasi-static table and its axes: pelvis height [m] and forward lean of the torso [rad].
 TABLE_HEIGHTS = np.linspace(0.40, 0.76, 10)
 TABLE_PITCHES = np.linspace(-0.3, 1.2, 11)
+LATERAL_SHIFT = 0.062  # m of pelvis shift for a sideways lean of the torso of sin = 1: measured on the model
+# What the waist carries, weight times lever [Nm], arms at home: upwards and ahead (wbc.quasi_static.torso_load).
+TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
+# rad per Nm of arms held out ahead, hip pitch, knee, ankle pitch: a leg bears half, its knee is half-way to the ankle.
+_ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
+GRAVITY = 9.81  # m/s2
+HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
+_WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
+_WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
+_LARGEST_BANK = 0.45  # rad: one hip closes by this much
+_WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
+_HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
+_BOTH_DOWN = 0.5 - GAIT.swing  # part of the period from a foot's touch-down to the other's lift-off
+_WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
     """Return what of a command can be followed now: first stand, then bend; first rise, then walk.
 
-    A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright.
+    A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright; one that
+    squats deeply does not lean back.
 
     Args:
         goal: (N, 7 or more) command.
@@ -59,12 +88,14 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
         (N, 7) the command to slew towards.
     """
     goal = goal[:, :7].copy()
-    bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH + 0.02) | (current[:, 5] < -0.12)
+    bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH[1] + 0.02)
     goal[bent, :3] = 0.0
+    lowest = LEAN_BACK_PITCH + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT)
+    goal[:, 5] = np.maximum(goal[:, 5], lowest)
     steps = ~standing
     goal[:, 3] = np.where(steps, np.maximum(goal[:, 3], WALK_HEIGHT), goal[:, 3])
     goal[:, 4] = np.where(steps, 0.0, goal[:, 4])
-    goal[:, 5] = np.where(steps, np.clip(goal[:, 5], -0.1, WALK_PITCH), goal[:, 5])
+    goal[:, 5] = np.where(steps, np.clip(goal[:, 5], *WALK_PITCH), goal[:, 5])
     goal[:, 6] = np.where(steps, np.clip(goal[:, 6], -WALK_YAW, WALK_YAW), goal[:, 6])
     return goal
 
@@ -75,22 +106,28 @@ def slew(current: np.ndarray, goal: np.ndarray) -> np.ndarray:
     return current + np.clip(goal - current, -step, step)
 
 
+def startled(velocity: np.ndarray, sole_tilt: np.ndarray) -> np.ndarray:
+    """Return who must step to keep upright (N,) bool, from the odometry: velocity (N, 2) and sole tilt (N,)."""
+    return (np.abs(velocity) > STARTLE_SPEED).any(axis=1) | (sole_tilt > STARTLE_TILT)
+
+
 def advance_clock(
-    phase: np.ndarray, stopped: np.ndarray, standing: np.ndarray, velocity: np.ndarray
+    phase: np.ndarray, stopped: np.ndarray, standing: np.ndarray, velocity: np.ndarray, startled: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Advance the gait clock by one control tick.
 
     Args:
         phase: (N,) in [0, 1).
-        stopped: (N,) gait periods since the command last asked to walk.
+        stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
         standing: (N,) bool, whether the clock rests.
         velocity: (N, 3) commanded velocity.
+        startled: (N,) bool, who loses balance.
 
     Returns:
         The new phase, stopped and standing.
     """
     tick = CONTROL_DT / GAIT.period_s
-    walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1)
+    walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1) | startled
     stopped = np.where(walk, 0.0, np.minimum(stopped + tick, 10.0))
     moved = (phase + tick) % 1.0
     both_down = (moved % 0.5) >= GAIT.swing
@@ -99,25 +136,56 @@ def advance_clock(
     return np.where(stands, rest, moved), stopped, stands
 
 
-def pelvis_pitch(torso_pitch: np.ndarray) -> np.ndarray:
-    """Return the pelvis pitch [rad] of a torso pitch: the waist takes 0.6 of it within its comfortable range."""
-    return torso_pitch - np.clip(0.6 * torso_pitch, -0.35, 0.4)
+def pelvis_pitch(lean: np.ndarray) -> np.ndarray:
+    """Return the pelvis pitch [rad] of a forward lean: the waist takes 0.6 of it within its comfortable range."""
+    return lean - np.clip(0.6 * lean, *_WAIST_LEAN)
 
 
-def leg_ik(forward: np.ndarray, down: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the planar leg: hip-to-ankle vector in the heading frame -> hip pitch, knee, ankle pitch [rad].
+def pelvis_bank(lean: np.ndarray) -> np.ndarray:
+    """Return the pelvis roll [rad] of a sideways lean: what the waist's comfortable range leaves."""
+    return np.clip(lean - np.clip(lean, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
+
+
+def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far a torso leans forward and to its right in the heading frame of the pelvis [rad].
 
     Args:
-        forward: Ankle ahead of the hip [m].
-        down: Ankle below the hip [m].
-        pitch: Pelvis pitch [rad]. The sole stays level.
+        roll: (N,) torso roll against gravity.
+        pitch: (N,) torso pitch against gravity.
+        yaw: (N,) torso yaw against the pelvis.
     """
-    upper, lower = g1.THIGH_LENGTH, g1.SHANK_LENGTH
-    distance = np.clip(np.sqrt(forward * forward + down * down), 0.22, upper + lower - 0.004)
-    knee = np.pi - np.arccos(np.clip((upper**2 + lower**2 - distance**2) / (2 * upper * lower), -1, 1))
-    lean = np.arccos(np.clip((upper**2 + distance**2 - lower**2) / (2 * upper * distance), -1, 1))
-    hip_world = -np.arctan2(forward, down) - lean
-    return hip_world - pitch, knee, -(hip_world + knee)
+    ahead, left, up = np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)
+    x, y = np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left
+    return np.arctan2(x, up), np.arctan2(-y, np.hypot(x, up))
+
+
+def waist_angles(
+    roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray, tilt: np.ndarray, bank: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the waist for a torso attitude on a tilted pelvis.
+
+    With R_pelvis = Ry(tilt) Rx(bank), R_torso = R_pelvis Rz(yaw) Rx(waist roll) Ry(waist pitch) must see gravity where
+    a torso of this roll and pitch sees it.
+
+    Args:
+        roll: (N,) torso roll against gravity [rad].
+        pitch: (N,) torso pitch against gravity.
+        yaw: (N,) waist yaw.
+        tilt: (N,) pelvis pitch.
+        bank: (N,) pelvis roll.
+
+    Returns:
+        Waist roll and pitch (N,), (N,) within the waist's range.
+    """
+    x0, y0, z0 = -np.sin(tilt), np.sin(bank) * np.cos(tilt), np.cos(bank) * np.cos(tilt)  # up in the pelvis frame
+    x1, y1 = np.cos(yaw) * x0 + np.sin(yaw) * y0, np.cos(yaw) * y0 - np.sin(yaw) * x0
+    ux, uy, uz = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)  # up in the torso frame
+    length = np.maximum(np.hypot(y1, z0), 1e-6)
+    waist_roll = np.arcsin(np.clip(uy / length, -1, 1)) - np.arctan2(y1, z0)
+    waist_roll = np.clip(waist_roll, -_WAIST_LIMIT, _WAIST_LIMIT)
+    z1 = np.cos(waist_roll) * z0 - np.sin(waist_roll) * y1
+    waist_pitch = np.arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
+    return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
 
 
 def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,17 +196,22 @@ def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np
 
 
 class Reference:
-    """The reference pose of legs and waist.
+    """The targets of legs and waist: a pose, and how much further to aim because joints give under the robot's weight.
 
     Args:
         shift_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far [m] the ankles stand ahead of the hips.
+        sag_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 3) how far hip pitch, knee and ankle pitch give [rad].
+        arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
     """
 
-    def __init__(self, shift_table: np.ndarray) -> None:
+    def __init__(self, shift_table: np.ndarray, sag_table: np.ndarray, arm_table: np.ndarray) -> None:
         self.shift_table = np.array(shift_table, dtype=np.float64)
+        self.sag_table = np.array(sag_table, dtype=np.float64)
+        self.arm_load = ArmLoad(arm_table)
+        self._table = np.concatenate([self.shift_table[..., None], self.sag_table], axis=2)
 
-    def ankle_shift(self, height: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-        """Interpolate the quasi-static table, (N,), (N,) -> (N,) [m]."""
+    def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Interpolate the tables: heights, forward leans (N,) -> ankle shift (N,) [m], sag of a leg (N, 3) [rad]."""
         row = np.clip(
             (height - TABLE_HEIGHTS[0]) / (TABLE_HEIGHTS[1] - TABLE_HEIGHTS[0]), 0, len(TABLE_HEIGHTS) - 1.001
         )
@@ -147,40 +220,115 @@ class Reference:
         )
         i, j = row.astype(int), column.astype(int)
         u, v = row - i, column - j
-        table = self.shift_table
-        return (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
+        u, v, table = u[:, None], v[:, None], self._table
+        found = (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
             (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         )
+        return found[:, 0], found[:, 1:]
 
-    def __call__(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray) -> np.ndarray:
-        """Return the joint targets of legs and waist.
+    def arms_moment(self, command: np.ndarray, arms: np.ndarray) -> np.ndarray:
+        """Return the moment [kg m] that the arms add to what they have at home, seen along the torso's yaw.
+
+        Args:
+            command: (N, 7 or more), of which the torso's roll and pitch count.
+            arms: (N, 8) the arms' joint targets but the wrists' [rad].
+
+        Returns:
+            (N, 2) ahead and to the left.
+        """
+        roll, pitch = np.ascontiguousarray(command[:, 4:6].T)
+        x, y, z = np.ascontiguousarray(self.arm_load(arms).T)
+        across = np.sin(roll) * y + np.cos(roll) * z
+        return np.stack([np.cos(pitch) * x + np.sin(pitch) * across, np.cos(roll) * y - np.sin(roll) * z], axis=1)
+
+    def __call__(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, arms: np.ndarray
+    ) -> np.ndarray:
+        """Return the joint targets of legs and waist, ``pose`` and ``sag``, (N, 15) [rad].
+
+        Args:
+            command: As in ``pose``.
+            phase: As in ``pose``.
+            standing: As in ``pose``.
+            velocity: As in ``pose``.
+            arms: (N, 8) the arms' joint targets but the wrists' [rad].
+        """
+        moment = self.arms_moment(command, arms)
+        return self.pose(command, phase, standing, velocity, moment) + self.sag(command, phase, standing, moment)
+
+    def pose(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, moment: np.ndarray
+    ) -> np.ndarray:
+        """Return the joint positions of legs and waist.
 
         Args:
             command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
             phase: (N,) gait clock.
             standing: (N,) bool.
+            velocity: (N, 2) of the pelvis in the heading frame, from the odometry [m/s].
+            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
 
         Returns:
             (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
         """
-        vx, vy, yaw_rate, height, roll, pitch, yaw = command[:, :7].T
-        tilt = pelvis_pitch(pitch)
-        shift = self.ankle_shift(height, pitch)
+        # Columns in one piece: NumPy may round a sine of a strided part otherwise.
+        vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
+        forward, right = lean(roll, pitch, yaw)
+        tilt = pelvis_pitch(forward)
+        bank = pelvis_bank(right)
+        shift, _ = self.statics(height, forward)
+        offset = moment / g1.MASS
+        shift = shift + np.cos(yaw) * offset[:, 0] - np.sin(yaw) * offset[:, 1]
+        aside = np.sin(yaw) * offset[:, 0] + np.cos(yaw) * offset[:, 1] - LATERAL_SHIFT * np.sin(right)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
         half_stride = 0.5 * (1 - GAIT.swing) * GAIT.period_s  # s: from mid-stance to lift-off
         sway = np.where(walking, GAIT.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
+        extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * GAIT.placement_s
+        own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
+        u = np.clip(own / GAIT.swing, 0, 1)
+        v = (own - GAIT.swing) / (1 - GAIT.swing)
+        eased, walks = u * u * (3 - 2 * u), walking[:, None]
+        swings = own < GAIT.swing
+        progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
+        reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
+        lift = np.where(swings & walks, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
+        out = g1.HIP_SPREAD + np.where(walking, GAIT.widen * np.abs(vy), 0.0)
+        ankles = leg_ik.Vectors(
+            vx[:, None] * progress + extra[:, :1] * reach + (shift - g1.HIP_DROP * np.sin(tilt))[:, None],
+            vy[:, None] * progress + extra[:, 1:] * reach + (sway + aside)[:, None] + out[:, None] * _SIDES,
+            lift - height[:, None] + g1.SOLE_DROP,
+        )
+        legs = leg_ik.solve(ankles, yaw_rate[:, None] * progress, tilt, bank)
+        targets[:, :12] = legs.reshape(len(command), 12)
+        targets[:, 12] = yaw
+        targets[:, 13], targets[:, 14] = waist_angles(roll, pitch, yaw, tilt, bank)
+        return targets
+
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Return how much further to aim because joints of finite stiffness give under the robot's weight.
+
+        Args:
+            command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
+            phase: (N,) gait clock.
+            standing: (N,) bool.
+            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
+
+        Returns:
+            (N, 15) [rad]. Of the weight a leg bears half while standing, all of it while the other swings.
+        """
+        height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
+        _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
+        ahead, aside = GRAVITY * moment.T  # Nm
+        legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
+        further = np.zeros((len(command), NUM_LOWER))
         for side in (0, 1):
             own = (phase + 0.5 * side) % 1.0
-            u = np.clip(own / GAIT.swing, 0, 1)
-            swings = own < GAIT.swing
-            progress = np.where(swings, -1 + 2 * u * u * (3 - 2 * u), 1 - 2 * (own - GAIT.swing) / (1 - GAIT.swing))
-            progress = np.where(walking, progress, 0.0) * half_stride
-            lift = np.where(swings & walking, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
-            down = height - g1.HIP_DROP - g1.SOLE_DROP - lift
-            hip, knee, ankle = leg_ik(vx * progress + shift, down, tilt)
-            spread = np.arctan2(vy * progress + sway, down)
-            first = 6 * side
-            targets[:, first : first + 6] = np.stack([hip, spread, yaw_rate * progress, knee, ankle, -spread], axis=1)
-        targets[:, 12], targets[:, 13], targets[:, 14] = yaw, roll, pitch - tilt
-        return targets
+            alone = np.clip((own - GAIT.swing) / _BOTH_DOWN, 0, 1) * np.clip((1 - own) / _BOTH_DOWN, 0, 1)
+            bears = np.where(standing, 1.0, 2 * alone)
+            further[:, [6 * side, 6 * side + 3, 6 * side + 4]] = bears[:, None] * legs
+            further[:, 6 * side + 1] = (1 - 2 * side) * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
+        further[:, 13] = (aside - TORSO_LOAD_UP * np.sin(roll)) / _WAIST_STIFFNESS
+        load_ahead = TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)
+        further[:, 14] = -(ahead + load_ahead) / _WAIST_STIFFNESS
+        return further

@@ -12,18 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.control import command, features, reference
+from gym_demohlm.control import command, features, odometry, reference
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
-WEIGHTS_FORMAT = 1
+WEIGHTS_FORMAT = 2
 _BLOCK = 16
 _ONE_THREAD_PRODUCT = 262144  # multiplications
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 _SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
 _CLOCK = _SLEWED.stop
-STATE_SIZE = _CLOCK + 3  # history, last action, slewed command, phase, stopped, standing
+_VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
+STATE_SIZE = _VELOCITY.stop  # history, last action, slewed command, phase, stopped, standing, odometry
+_LEGS = len(g1.LEG_JOINTS)
 
 
 class Weights:
@@ -48,7 +50,8 @@ class Weights:
             self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
             layers = int(self.metadata["layers"])
             self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
-            self.mean, self.scale, self.shift_table = loaded["mean"], loaded["scale"], loaded["shift_table"]
+            self.mean, self.scale = loaded["mean"], loaded["scale"]
+            self._tables = loaded["shift_table"], loaded["sag_table"], loaded["arm_table"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
                 f"controller weights {path.name} that cannot be read ({error})",
@@ -63,6 +66,10 @@ class Weights:
                 "train or install weights for this version",
             )
         self.hash = hashlib.sha256(content).hexdigest()
+
+    def make_reference(self) -> reference.Reference:
+        """Return the reference pose that the policy corrects."""
+        return reference.Reference(*self._tables)
 
 
 def _split(weight: np.ndarray) -> list[np.ndarray]:
@@ -93,7 +100,7 @@ class WholeBodyController:
 
     def __init__(self, num_worlds: int, weights: Path | None = None) -> None:
         self.weights = Weights(weights or DEFAULT_WEIGHTS)
-        self.reference = reference.Reference(self.weights.shift_table)
+        self.reference = self.weights.make_reference()
         self.state = np.zeros((num_worlds, STATE_SIZE))
         ranges = g1.joint_ranges(g1.read_mjcf())
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
@@ -113,7 +120,7 @@ class WholeBodyController:
         state = np.zeros((len(worlds), STATE_SIZE))
         state[:, :_HISTORY] = np.tile(frame, (1, features.HISTORY))
         state[:, _SLEWED] = command.rest()[:7]
-        state[:, _CLOCK:] = [reference.REST_PHASES[0], 2.0, 1.0]
+        state[:, _CLOCK : _CLOCK + 3] = [reference.REST_PHASES[0], 2.0, 1.0]
         self.state[worlds] = state
 
     def step(
@@ -145,8 +152,14 @@ class WholeBodyController:
         history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], frame], axis=1)
         current, stands = state[:, _SLEWED], state[:, _CLOCK + 2] > 0.5
         slewed = reference.slew(current, reference.admissible(commands, current, stands))
+        velocity, sole_tilt = odometry.estimate(features.gravity(quat_wxyz), gyro, q[:, :_LEGS], dq[:, :_LEGS])
+        velocity = odometry.smooth(state[:, _VELOCITY], velocity)
         phase, stopped, standing = reference.advance_clock(
-            state[:, _CLOCK], state[:, _CLOCK + 1], stands, slewed[:, :3]
+            state[:, _CLOCK],
+            state[:, _CLOCK + 1],
+            stands,
+            slewed[:, :3],
+            reference.startled(velocity, sole_tilt),
         )
         arms = commands[:, command.ARMS]
         observed = features.observation(
@@ -156,12 +169,14 @@ class WholeBodyController:
             slewed,
             phase,
             standing,
+            velocity,
         )
         action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
         self.state[chosen] = np.concatenate(
-            [history, action, slewed, np.stack([phase, stopped, standing.astype(np.float64)], axis=1)], axis=1
+            [history, action, slewed, np.stack([phase, stopped, standing.astype(np.float64)], axis=1), velocity], axis=1
         )
-        lower = self.reference(slewed, phase, standing) + action * features.ACTION_SCALE
+        lower = self.reference(slewed, phase, standing, velocity, arms[:, features.OBSERVED_ARM_INDEX])
+        lower += action * features.ACTION_SCALE
         return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
 
     def _act(self, observed: np.ndarray) -> np.ndarray:

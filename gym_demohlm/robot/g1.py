@@ -23,6 +23,7 @@ ARM_JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in _ARM)
 BODY_JOINTS = LEG_JOINTS + WAIST_JOINTS + ARM_JOINTS
 
 PHYSICS_DT = 0.002  # s: the joint PD runs at 500 Hz (paper, "Hardware Design")
+MASS = 33.34  # kg, without hands and head
 PELVIS_HEIGHT = 0.74  # m above the floor, knees slightly bent
 _HOME_ARM = np.array([0.2, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0])  # rad
 _MIRROR_ARM = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
@@ -33,6 +34,7 @@ HOME = np.concatenate([HOME_LEG, HOME_LEG, np.zeros(3), _HOME_ARM, _HOME_ARM * _
 THIGH_LENGTH = 0.3366  # m, hip pitch axis to knee
 SHANK_LENGTH = 0.3000  # m, knee to ankle pitch axis
 HIP_DROP = 0.1027  # m, hip pitch axis below the pelvis origin
+HIP_SPREAD = 0.1165  # m, hip roll axis left or right of the pelvis origin
 SOLE_DROP = 0.0526  # m, sole below the ankle pitch axis
 FOOT_POINTS = ((-0.05, 0.025), (-0.05, -0.025), (0.12, 0.03), (0.12, -0.03))  # m, in the ankle-roll frame
 FOOT_POINT_RADIUS = 0.005  # m
@@ -150,6 +152,19 @@ def load_body_spec() -> mujoco.MjSpec:
         element.armature, element.frictionloss = drive.armature, 0.0
         add_position_actuator(spec, joint, f"{joint}_joint", drive.stiffness, drive.damping, drive.torque_limit)
     return spec
+
+
+def add_load(spec: mujoco.MjSpec, body: str, mass: float, position: tuple[float, float, float]) -> None:
+    """Fix a small weight to a body: one of its own, because a geom adds no mass to a body with explicit inertia.
+
+    Args:
+        spec: To change.
+        body: Name of the body that carries it.
+        mass: [kg].
+        position: In the body's frame [m].
+    """
+    load = spec.body(body).add_body(pos=position, mass=mass, explicitinertial=True)
+    load.inertia = np.full(3, 0.4 * mass * 0.03**2)  # a ball of 3 cm
 
 
 def add_position_actuator(

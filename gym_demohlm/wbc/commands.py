@@ -35,8 +35,9 @@ class CommandSampler:
         """Draw new commands for new episodes, which start at the commanded posture with no velocity."""
         self._draw(worlds, level)
         self._draw_arms(worlds, level)
-        self.current[worlds] = self.goal[worlds]
-        self.current[worlds, :3] = 0
+        goal = self.goal[worlds]
+        goal[:, :3] = 0
+        self.current[worlds] = reference.admissible(goal, goal, np.ones(len(worlds), dtype=bool))
         self.arms[worlds] = self._arm_goal[worlds]
 
     def advance(self, level: float, standing: np.ndarray) -> None:
@@ -51,10 +52,11 @@ class CommandSampler:
         rng, count = self.rng, len(worlds)
         if count == 0:
             return
-        stand = rng.random(count) < 0.35
+        stand = rng.random(count) < 0.45
         command = np.zeros((count, 7))
-        velocity = np.stack(
-            [rng.uniform(-0.4, 0.65, count), rng.uniform(-0.36, 0.36, count), rng.uniform(-0.75, 0.75, count)], axis=1
+        speed = 0.5 + 0.5 * level
+        velocity = speed * np.stack(
+            [rng.uniform(-0.55, 0.85, count), rng.uniform(-0.44, 0.44, count), rng.uniform(-1.1, 1.1, count)], axis=1
         )
         velocity[rng.random((count, 3)) < np.array([0.15, 0.3, 0.25])] = 0
         slow = rng.random(count) < 0.25  # the last steps towards a goal are slow
@@ -62,18 +64,20 @@ class CommandSampler:
         command[:, :3] = velocity
         stand |= (np.abs(velocity) < reference.WALK_THRESHOLD * 1.2).all(axis=1)
         command[stand, :3] = 0
-        low = rng.random(count) < 0.7
-        squat = np.where(low, rng.uniform(0.74 - 0.33 * level, 0.765, count), 0.74)
-        command[:, 3] = np.where(stand, squat, rng.uniform(0.74 - 0.08 * level, 0.76, count))
-        bend = rng.uniform(-0.15, 0.15 + 0.95 * level, count)
-        command[:, 5] = np.where(stand, bend, rng.uniform(-0.05, 0.1 + 0.3 * level, count))
-        reach = stand & (rng.random(count) < 0.3)  # down to the floor: low and bent
-        command[reach, 3] = rng.uniform(0.74 - 0.33 * level, 0.74 - 0.15 * level, reach.sum())
-        command[reach, 5] = rng.uniform(0.45, 1.12, reach.sum()) * level
-        upright = rng.random(count) < 0.15
-        command[upright, 5] = 0
-        command[:, 4] = np.where(stand, rng.uniform(-0.22, 0.22, count) * level, 0)
-        command[:, 6] = np.where(stand, rng.uniform(-0.65, 0.65, count) * level, rng.uniform(-0.2, 0.2, count) * level)
+        low = rng.random(count) < 0.75
+        squat = np.where(low, rng.uniform(0.74 - 0.35 * level, 0.765, count), 0.74)
+        command[:, 3] = np.where(stand, squat, rng.uniform(0.74 - 0.15 * level, 0.765, count))
+        bend = rng.uniform(-0.1 - 0.23 * level, 0.15 + 1.08 * level, count)
+        command[:, 5] = np.where(stand, bend, rng.uniform(-0.05 - 0.27 * level, 0.1 + 0.32 * level, count))
+        reach = stand & (rng.random(count) < 0.15)  # down to the floor: low and bent
+        command[reach, 3] = rng.uniform(0.74 - 0.35 * level, 0.74 - 0.15 * level, reach.sum())
+        command[reach, 5] = rng.uniform(0.45, 1.22, reach.sum()) * level
+        command[rng.random(count) < 0.15, 5] = 0
+        command[:, 4] = np.where(stand, rng.uniform(-0.42, 0.42, count) * level, 0)
+        yaw = np.where(stand, rng.uniform(-1.04, 1.04, count), rng.uniform(-0.3, 0.3, count))
+        command[:, 6] = yaw * level
+        command[rng.random(count) < 0.2, 4] = 0
+        command[rng.random(count) < 0.2, 6] = 0
         self.goal[worlds] = command
         self._ticks_left[worlds] = rng.integers(100, 300, count)
 
@@ -81,4 +85,4 @@ class CommandSampler:
         count, reach = len(worlds), 0.3 + 0.7 * level
         random = self.rng.uniform(_ARM_LOW, _ARM_HIGH, (count, len(_ARM_HOME)))
         self._arm_goal[worlds] = _ARM_HOME + reach * (random - _ARM_HOME)
-        self._arm_rate[worlds] = self.rng.uniform(0.3, 2.0, (count, 1)) * reference.CONTROL_DT
+        self._arm_rate[worlds] = self.rng.uniform(0.3, 1.0 + 2.0 * level, (count, 1)) * reference.CONTROL_DT

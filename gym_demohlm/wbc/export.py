@@ -12,26 +12,30 @@ from rsl_rl.modules import EmpiricalNormalization
 from gym_demohlm.control import features, reference
 from gym_demohlm.robot import g1
 
-FORMAT = 1
+FORMAT = 2
 
 
-def export_weights(actor: MLPModel, shift_table: np.ndarray, path: Path, facts: dict[str, Any]) -> None:
+def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts: dict[str, Any]) -> None:
     """Write the actor.
 
     Args:
         actor: The symmetric actor with its normaliser.
-        shift_table: The reference's quasi-static table.
+        pose: The reference, for its quasi-static tables.
         path: Of the file to write, replaced at once.
         facts: How it was trained, kept in the metadata.
     """
-    arrays: dict[str, np.ndarray] = {"shift_table": np.asarray(shift_table)}
+    arrays: dict[str, np.ndarray] = {
+        "shift_table": pose.shift_table,
+        "sag_table": pose.sag_table,
+        "arm_table": pose.arm_load.table,
+    }
     normaliser = cast(EmpiricalNormalization, actor.obs_normalizer)
-    arrays["mean"] = normaliser.mean.detach().numpy().astype(np.float32)
-    arrays["scale"] = (1.0 / (normaliser.std + normaliser.eps)).detach().numpy().astype(np.float32)
+    arrays["mean"] = normaliser.mean.detach().cpu().numpy().astype(np.float32)
+    arrays["scale"] = (1.0 / (normaliser.std + normaliser.eps)).detach().cpu().numpy().astype(np.float32)
     linear = [layer for layer in actor.mlp if isinstance(layer, torch.nn.Linear)]
     for index, layer in enumerate(linear):
-        arrays[f"weight_{index}"] = layer.weight.detach().numpy().T.astype(np.float32)
-        arrays[f"bias_{index}"] = layer.bias.detach().numpy().astype(np.float32)
+        arrays[f"weight_{index}"] = layer.weight.detach().cpu().numpy().T.astype(np.float32)
+        arrays[f"bias_{index}"] = layer.bias.detach().cpu().numpy().astype(np.float32)
     metadata = {
         "format": FORMAT,
         "layers": len(linear),

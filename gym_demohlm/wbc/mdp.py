@@ -1,25 +1,26 @@
-"""The Markov decision process of the whole-body controller: N training worlds on mujoco.rollout, all else in NumPy.
+"""The Markov decision process of the whole-body controller: N training worlds on a CPU or a GPU, all else in NumPy.
 
 Joint targets = reference(command, clock) + scale * action. Actions are 15 numbers at 50 Hz; arms follow random targets.
 """
 
 from dataclasses import dataclass
-from typing import cast
 
 import mujoco
 import numpy as np
-from mujoco import rollout
 
-from gym_demohlm.control import features, reference
+from gym_demohlm.control import features, odometry, reference
+from gym_demohlm.robot import g1
 from gym_demohlm.wbc import rewards
 from gym_demohlm.wbc.commands import CommandSampler
 from gym_demohlm.wbc.model import SUBSTEPS, training_model
-from gym_demohlm.wbc.quasi_static import ankle_shift_table
+from gym_demohlm.wbc.physics import STATE, make_physics
+from gym_demohlm.wbc.quasi_static import tables
 
 _JOINTS = len(features.OBSERVED_JOINTS)
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _PRIVILEGED = 10  # base velocity 3, foot contact 2, foot height 2, base height 1, torso pitch and roll 2
 _AVERAGED_S = 0.6  # s: time constant of the averaged velocity error, about a gait period
+_LEGS = len(g1.LEG_JOINTS)
+_ODOMETRY_NOISE = 0.03  # m/s
 CRITIC_SIZE = features.OBSERVATION_SIZE + _PRIVILEGED
 _NOISE = np.concatenate([np.full(3, 0.05), np.full(3, 0.03), np.full(_JOINTS, 0.01), np.full(_JOINTS, 0.05)])
 
@@ -41,26 +42,48 @@ class MdpConfig:
         num_worlds: Worlds stepped together.
         num_variants: Randomised models shared among them.
         num_threads: Threads of mujoco.rollout.
+        warp_device: Where mujoco_warp runs the physics (``cuda``, ``cpu``); with None it is mujoco.rollout.
         episode_ticks: Length of an episode [control ticks].
         push_speed: Largest sudden change of the base's horizontal velocity [m/s].
-        push_probability: Chance of a push a tick.
+        push_probability: Chance of a push a tick, in the worlds that are pushed.
+        pushed_share: Share of the worlds that are pushed; the others learn to be accurate.
+        largest_delay: Substeps until new targets reach the motors, at most (of 5 ms; drawn for every episode).
+        use_reference: Whether actions correct the reference pose; without it they correct the pose of rest.
         seed: Of everything random.
     """
 
-    num_worlds: int = 512
-    num_variants: int = 16
-    num_threads: int = 2
+    num_worlds: int = 256
+    num_variants: int = 32
+    num_threads: int = 1
+    warp_device: str | None = None
     episode_ticks: int = 1000
-    push_speed: float = 0.4
-    push_probability: float = 0.004
+    push_speed: float = 0.6
+    push_probability: float = 0.006
+    pushed_share: float = 0.4
+    largest_delay: int = 4
+    use_reference: bool = True
     seed: int = 1
+
+
+class _Rest(reference.Reference):
+    """The pose of rest whatever the command: training without a reference, to see what the reference is worth."""
+
+    def pose(
+        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, moment: np.ndarray
+    ) -> np.ndarray:
+        return np.tile(g1.HOME[: reference.NUM_LOWER], (len(command), 1))
+
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        return np.zeros((len(command), reference.NUM_LOWER))
 
 
 class WholeBodyMdp:
     """N robots learning to follow commands.
 
     Attributes:
-        level: Curriculum in [0, 1]: widens the command ranges, the arms' motion and the pushes.
+        level: Curriculum in [0, 1]: widens the command ranges and the arms' motion.
+        push_level: Curriculum in [0, 1]: strengthens the pushes.
+        pushed: (N,) bool, the worlds that are pushed.
     """
 
     def __init__(self, config: MdpConfig) -> None:
@@ -69,10 +92,10 @@ class WholeBodyMdp:
         n = config.num_worlds
         variants = [training_model(self.rng) for _ in range(config.num_variants)]
         self.model = variants[0]
-        self._models = [variants[world % config.num_variants] for world in range(n)]
-        self._rollout = rollout.Rollout(nthread=config.num_threads)
-        self._data = [mujoco.MjData(self.model) for _ in range(config.num_threads)]
-        self._state = np.zeros((n, mujoco.mj_stateSize(self.model, _STATE)))
+        self._physics = make_physics(
+            variants, n, SUBSTEPS, num_threads=config.num_threads, warp_device=config.warp_device
+        )
+        self._state = np.zeros((n, mujoco.mj_stateSize(self.model, STATE)))
         self._address = {
             self.model.sensor(i).name: slice(
                 self.model.sensor_adr[i], self.model.sensor_adr[i] + self.model.sensor_dim[i]
@@ -82,14 +105,17 @@ class WholeBodyMdp:
         joints = [self.model.joint(f"{joint}_joint") for joint in features.OBSERVED_JOINTS]
         ranges = np.array([joint.range for joint in joints])
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
-        self.reference = reference.Reference(ankle_shift_table())
+        self.reference = (reference.Reference if config.use_reference else _Rest)(*tables())
         self.commands = CommandSampler(n, self.rng)
-        self.level = 0.0
+        self.level = self.push_level = 0.0
+        self.pushed = np.arange(n) < round(config.pushed_share * n)
         self.phase, self.stopped, self.standing = np.zeros(n), np.zeros(n), np.ones(n, dtype=bool)
         self.action, self.previous_action = np.zeros((n, features.ACTION_SIZE)), np.zeros((n, features.ACTION_SIZE))
         self.history = np.zeros((n, features.HISTORY, features.FRAME_SIZE))
         self.privileged = np.zeros((n, _PRIVILEGED))
         self._mean_error = np.zeros((n, 3))
+        self.velocity, self.startled = np.zeros((n, 2)), np.zeros(n, dtype=bool)
+        self._delay, self._targets = np.zeros(n, dtype=int), np.zeros((n, _JOINTS))
         self.ticks = np.zeros(n, dtype=int)
         self.tracking: dict[str, float] = {}
         self.terms: dict[str, float] = {}
@@ -116,13 +142,18 @@ class WholeBodyMdp:
         self.phase[worlds] = self.rng.choice(reference.REST_PHASES, count)
         self.stopped[worlds] = np.where(walk, 0.0, 2.0)
         self.standing[worlds] = ~walk
-        targets = self.reference(command, self.phase[worlds], np.ones(count, dtype=bool))
-        tilt = reference.pelvis_pitch(command[:, 5])
+        moment = self.reference.arms_moment(command, self.commands.arms[worlds])
+        at_rest = np.ones(count, dtype=bool), np.zeros((count, 2))
+        targets = self.reference.pose(command, self.phase[worlds], *at_rest, moment)
+        tilt = reference.pelvis_pitch(reference.lean(command[:, 4], command[:, 5], command[:, 6])[0])
         qpos = np.zeros((count, 7 + _JOINTS))
         qpos[:, 2] = command[:, 3] + 0.01
         qpos[:, 3], qpos[:, 5] = np.cos(tilt / 2), np.sin(tilt / 2)
         joints = np.concatenate([targets, self.commands.arms[worlds]], axis=1)
         qpos[:, 7:] = np.clip(joints + self.rng.normal(0, 0.03, joints.shape), self._lower, self._upper)
+        self._targets[worlds] = np.clip(joints, self._lower, self._upper)
+        self._delay[worlds] = self.rng.integers(0, self.config.largest_delay + 1, count)
+        self.velocity[worlds], self.startled[worlds] = 0.0, False
         self._state[worlds] = 0
         self.qpos[worlds] = qpos
         self.qvel[worlds] = self.rng.normal(0, 0.1, (count, 6 + _JOINTS))
@@ -137,8 +168,9 @@ class WholeBodyMdp:
     def observe(self) -> tuple[np.ndarray, np.ndarray]:
         """Return what the actor sees (with sensor noise) and what the critic sees, float32."""
         noisy = self.history + self.rng.uniform(-1, 1, self.history.shape) * _NOISE
+        velocity = self.velocity + self.rng.normal(0, _ODOMETRY_NOISE, self.velocity.shape)
         seen = features.observation(
-            noisy, self.action, self.commands.arms, self.commands.current, self.phase, self.standing
+            noisy, self.action, self.commands.arms, self.commands.current, self.phase, self.standing, velocity
         )
         return seen.astype(np.float32), np.concatenate([seen, self.privileged], axis=1).astype(np.float32)
 
@@ -154,20 +186,22 @@ class WholeBodyMdp:
         actions = np.clip(actions, -features.ACTION_LIMIT, features.ACTION_LIMIT)
         self.commands.advance(self.level, self.standing)
         self.phase, self.stopped, self.standing = reference.advance_clock(
-            self.phase, self.stopped, self.standing, self.commands.current[:, :3]
+            self.phase, self.stopped, self.standing, self.commands.current[:, :3], self.startled
         )
         targets = np.concatenate(
             [
-                self.reference(self.commands.current, self.phase, self.standing) + actions * features.ACTION_SCALE,
+                self.reference(self.commands.current, self.phase, self.standing, self.velocity, self.commands.arms)
+                + actions * features.ACTION_SCALE,
                 self.commands.arms,
             ],
             axis=1,
         )
-        control = np.repeat(np.clip(targets, self._lower, self._upper)[:, None], SUBSTEPS, axis=1)
-        outcome = self._rollout.rollout(self._models, self._data, self._state, control)
-        states, sensors = cast(tuple[np.ndarray, np.ndarray], outcome)
-        self._state = states[:, -1].copy()
-        measured = rewards.measure(self.qpos, self.qvel, sensors[:, -1], self._address)
+        targets = np.clip(targets, self._lower, self._upper)
+        late = (np.arange(SUBSTEPS) < self._delay[:, None])[..., None]
+        control = np.where(late, self._targets[:, None], targets[:, None])
+        self._targets = targets
+        self._state, sensors = self._physics.step(self._state, control)
+        measured = rewards.measure(self.qpos, self.qvel, sensors, self._address)
         error = rewards.planar_error(measured, self.commands.current)
         self._mean_error += (error - self._mean_error) * (reference.CONTROL_DT / _AVERAGED_S)
         reward, self.terms = rewards.total(
@@ -184,7 +218,12 @@ class WholeBodyMdp:
         reward = np.where(fell, -1.0, np.nan_to_num(reward) * 0.2)
         self.previous_action, self.action = self.action, actions.copy()
         self._push()
-        frame = features.frame(self.qpos[:, 3:7], self.qvel[:, 3:6], self.qpos[:, 7:], self.qvel[:, 6:])
+        qpos, qvel = self.qpos, self.qvel
+        frame = features.frame(qpos[:, 3:7], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
+        legs, leg_rates = qpos[:, 7 : 7 + _LEGS], qvel[:, 6 : 6 + _LEGS]
+        velocity, sole_tilt = odometry.estimate(features.gravity(qpos[:, 3:7]), qvel[:, 3:6], legs, leg_rates)
+        self.velocity = odometry.smooth(self.velocity, velocity)
+        self.startled = reference.startled(self.velocity, sole_tilt)
         self.history = np.concatenate([self.history[:, 1:], frame[:, None]], axis=1)
         self.privileged = np.concatenate(
             [
@@ -212,6 +251,8 @@ class WholeBodyMdp:
         )
 
     def _push(self) -> None:
-        pushed = np.nonzero(self.rng.random(self.config.num_worlds) < self.config.push_probability)[0]
-        strength = self.config.push_speed * min(1.0, 0.3 + self.level)
-        self.qvel[pushed, :2] += self.rng.uniform(-strength, strength, (len(pushed), 2))
+        struck = self.pushed & (self.rng.random(self.config.num_worlds) < self.config.push_probability)
+        worlds = np.nonzero(struck)[0]
+        speed = self.config.push_speed * self.push_level * self.rng.uniform(0.3, 1.0, len(worlds))
+        angle = self.rng.uniform(-np.pi, np.pi, len(worlds))
+        self.qvel[worlds, :2] += np.column_stack([speed * np.cos(angle), speed * np.sin(angle)])

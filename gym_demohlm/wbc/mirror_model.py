@@ -7,6 +7,7 @@ mirrored samples, the KL estimate, and with it the adaptive learning rate, stays
 from typing import Any, cast
 
 import torch
+import torch.distributed as dist
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
@@ -17,7 +18,12 @@ from gym_demohlm.wbc.mdp import CRITIC_MIRROR
 
 
 class MirrorModel(MLPModel):
-    """A symmetric actor (with a distribution) or critic (without)."""
+    """A symmetric actor (with a distribution) or critic (without).
+
+    Args:
+        obs, obs_groups, obs_set, output_dim, kwargs: As in rsl_rl.
+        symmetric: False gives the plain network, to see what the symmetry is worth.
+    """
 
     _seen_source: torch.Tensor
     _seen_sign: torch.Tensor
@@ -30,9 +36,12 @@ class MirrorModel(MLPModel):
         obs_groups: dict[str, list[str]],
         obs_set: str,
         output_dim: int,
+        symmetric: bool = True,
         **kwargs: Any,  # noqa: ANN401
     ) -> None:
         super().__init__(obs, obs_groups, obs_set, output_dim, **kwargs)
+        self._samples: list[torch.Tensor] = []
+        self._symmetric = symmetric
         seen = features.OBSERVATION_MIRROR if obs_set == "actor" else CRITIC_MIRROR
         self.register_buffer("_seen_source", torch.as_tensor(seen[0]))
         self.register_buffer("_seen_sign", torch.as_tensor(seen[1]))
@@ -60,9 +69,11 @@ class MirrorModel(MLPModel):
     ) -> torch.Tensor:
         """Return the mean of the action, a sample of it, or the value; arguments as in rsl_rl."""
         latent = self.obs_normalizer(self._observed(obs)).clamp(-6.0, 6.0)
-        both = self.mlp(torch.cat([latent, self._mirrored(latent)]))
-        plain, mirrored = both.chunk(2)
-        output = 0.5 * (plain + mirrored[..., self._out_source] * self._out_sign)
+        if self._symmetric:
+            plain, mirrored = self.mlp(torch.cat([latent, self._mirrored(latent)])).chunk(2)
+            output = 0.5 * (plain + mirrored[..., self._out_source] * self._out_sign)
+        else:
+            output = self.mlp(latent)
         if self.distribution is None:
             return output
         if stochastic_output:
@@ -71,10 +82,19 @@ class MirrorModel(MLPModel):
         return self.distribution.deterministic_output(output)
 
     def update_normalization(self, obs: TensorDict) -> None:
-        """Feed the normaliser a part of the samples, and their mirror images."""
+        """Keep a part of the samples for ``renew_normalization``."""
         if self.obs_normalization:
-            seen = self._observed(obs)[::4]
-            cast(EmpiricalNormalization, self.obs_normalizer).update(torch.cat([seen, self._mirrored(seen)]))
+            self._samples.append(self._observed(obs)[::4])
+
+    def renew_normalization(self) -> None:
+        """Feed the normaliser the kept samples of all processes, and their mirror images."""
+        seen = torch.cat(self._samples)
+        self._samples.clear()
+        if dist.is_initialized():
+            parts = [torch.empty_like(seen) for _ in range(dist.get_world_size())]
+            dist.all_gather(parts, seen)
+            seen = torch.cat(parts)
+        cast(EmpiricalNormalization, self.obs_normalizer).update(torch.cat([seen, self._mirrored(seen)]))
 
 
 class BoundedPPO(PPO):

@@ -13,8 +13,8 @@ SUBSTEPS = 4
 def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
     """Compile a training model; with a generator, its friction, masses and gains are randomised.
 
-    Ranges: friction 0.5-1.1, hand loads 0-1.2 kg (mostly light), torso mass -8..+12 %, torso centre of mass
-    +-2 cm, gains +-10 %.
+    Ranges: friction 0.4-1.1, hand loads 0-2.2 kg (half of them under 0.2 kg), torso mass -0.8..+3 kg (mostly near
+    nothing), torso centre of mass +-2.5 cm, stiffness +-10 %, damping +-20 %.
     """
     spec = g1.load_body_spec()
     spec.option.timestep = TRAINING_DT
@@ -29,7 +29,7 @@ def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
     for joint in features.WRIST_JOINTS:
         spec.delete(spec.actuator(joint))
         spec.delete(spec.joint(f"{joint}_joint"))
-    friction = 0.8 if rng is None else rng.uniform(0.5, 1.1)
+    friction = 0.8 if rng is None else rng.uniform(0.4, 1.1)
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -48,22 +48,16 @@ def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
 
 def _randomise(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
     for side in g1.SIDES:
-        spec.body(f"{side}_wrist_yaw_link").add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[0.03, 0, 0],
-            pos=[0.1, 0, 0],
-            mass=0.01 + 1.2 * rng.random() ** 3,  # mostly empty hands
-            contype=0,
-            conaffinity=0,
-        )
+        mass = rng.uniform(0.01, 0.2) if rng.random() < 0.5 else rng.uniform(0.2, 2.2)
+        g1.add_load(spec, f"{side}_wrist_yaw_link", mass, (0.1, 0.0, 0.0))
     torso = spec.body("torso_link")
-    torso.mass *= rng.uniform(0.92, 1.12)
-    torso.ipos = torso.ipos + rng.uniform(-0.02, 0.02, 3)
-    stiffness = rng.uniform(0.9, 1.1)
+    torso.mass += rng.uniform(-0.8, 0.8) if rng.random() < 0.7 else rng.uniform(0.8, 3.2)
+    torso.ipos = torso.ipos + rng.uniform(-0.025, 0.025, 3)
+    stiffness, damping = rng.uniform(0.9, 1.1), rng.uniform(0.8, 1.2)
     for actuator in spec.actuators:
         actuator.gainprm[0] *= stiffness
         actuator.biasprm[1] *= stiffness
-        actuator.biasprm[2] *= rng.uniform(0.9, 1.1)
+        actuator.biasprm[2] *= damping
 
 
 def _add_sensors(spec: mujoco.MjSpec) -> None:

@@ -111,22 +111,30 @@ def total(
         mean_error: (N, 3) error of velocity and yaw rate, averaged over about a gait period: what becomes drift.
     """
     stand = standing.astype(np.float64)
+    drift = (mean_error[:, :2] ** 2).sum(axis=1)
     stop = (np.abs(command[:, :3]) < reference.WALK_THRESHOLD).all(axis=1).astype(np.float64)
     swing, swing_height = reference.swing_state(phase, standing)
     contact = m.touch > 5.0
     velocity_error = ((m.velocity - command[:, :2]) ** 2).sum(axis=1)
     yaw_error = (m.yaw_rate - command[:, 2]) ** 2
     height_error = (m.height - command[:, 3]) ** 2
-    tilt_error = (m.torso_pitch - command[:, 5]) ** 2 + (m.torso_roll - command[:, 4]) ** 2
+    pitch_error, roll_error = (m.torso_pitch - command[:, 5]) ** 2, (m.torso_roll - command[:, 4]) ** 2
+    waist_error = (m.waist_yaw - command[:, 6]) ** 2
     still = (m.velocity**2).sum(axis=1) + 0.1 * m.yaw_rate**2
     terms = {
-        "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 1.2 * np.exp(-velocity_error / 0.03),
-        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.5 * np.exp(-yaw_error / 0.12),
-        "drift": 0.8 * np.exp(-(mean_error[:, :2] ** 2).sum(axis=1) / 0.004),
+        "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 1.8 * np.exp(-velocity_error / 0.025),
+        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.0 * np.exp(-yaw_error / 0.15) + 1.6 * np.exp(-yaw_error / 0.03),
+        "drift": 0.8 * np.exp(-drift / 0.03) + 0.8 * np.exp(-drift / 0.004),
         "turn_drift": 0.6 * np.exp(-(mean_error[:, 2] ** 2) / 0.02),
-        "height": 0.5 * np.exp(-height_error / 0.004) + 0.4 * np.exp(-height_error / 0.0006),
-        "tilt": 0.6 * np.exp(-tilt_error / 0.04) + 0.5 * np.exp(-tilt_error / 0.004),
-        "waist_yaw": 0.3 * np.exp(-((m.waist_yaw - command[:, 6]) ** 2) / 0.02),
+        "height": 0.8 * np.exp(-height_error / 0.004) + 0.5 * np.exp(-height_error / 0.0004),
+        "tilt": 0.8 * np.exp(-(pitch_error + roll_error) / 0.1),
+        "pitch": 1.0 * np.exp(-pitch_error / 0.02) + 0.6 * np.exp(-pitch_error / 0.002),
+        "roll": 0.8 * np.exp(-roll_error / 0.01) + 0.5 * np.exp(-roll_error / 0.0006),
+        # Far off, the terms above are flat; this one is not.
+        "far_off": -4.0 * np.minimum(np.abs(m.torso_pitch - command[:, 5]), 1.0)
+        - 3.0 * np.minimum(np.abs(m.torso_roll - command[:, 4]), 1.0)
+        - 6.0 * np.abs(m.height - command[:, 3]),
+        "waist_yaw": 0.3 * np.exp(-waist_error / 0.02) + 0.4 * stand * np.exp(-waist_error / 0.0005),
         "schedule": 0.8 * ((contact != swing).sum(axis=1) - 2.0),
         "swing_height": 0.6 * np.exp(-((m.sole_height - swing_height) ** 2).sum(axis=1) / 0.002),
         "sole_tilt": -0.6 * np.minimum(m.sole_tilt, 1.0),
@@ -134,7 +142,7 @@ def total(
         "slip": -0.4 * np.minimum((m.sole_speed * contact).sum(axis=1), 2.0),
         "stance": -8.0 * np.maximum(0.20 - m.stance_width, 0)
         - 6.0 * stop * np.maximum(0.23 - m.stance_width, 0)
-        - 3.0 * np.maximum(m.stance_width - 0.32, 0)
+        - 3.0 * np.maximum(m.stance_width - 0.34, 0)
         - 1.5 * stop * np.minimum(np.abs(m.stance_length), 0.3),
         "still": 0.4 * stand * np.exp(-still / 0.002),
         "action_rate": -0.03 * ((action - last_action) ** 2).sum(axis=1),
@@ -157,6 +165,7 @@ def tracking(m: Measured, command: np.ndarray, standing: np.ndarray) -> dict[str
         "height": m.height - command[:, 3],
         "pitch": m.torso_pitch - command[:, 5],
         "roll": m.torso_roll - command[:, 4],
+        "yaw": m.waist_yaw - command[:, 6],
     }
     found: dict[str, float] = {}
     for mode, mask in (("walk", ~standing), ("stand", standing)):

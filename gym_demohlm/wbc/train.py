@@ -1,83 +1,166 @@
-"""The MDP -> a trained controller: rsl_rl's PPO on two CPU cores, with checkpoints and a curriculum.
+"""The MDP -> a trained controller: rsl_rl's PPO on CPU cores or a GPU, with checkpoints and curricula.
 
-``demohlm train-controller --hours 2 --output runs/controller`` trains; ``--resume`` goes on from the last checkpoint.
+``demohlm train-controller --hours 3 --output runs/controller`` trains; ``--resume`` goes on from the last checkpoint.
+On CPU cores every process steps its own worlds and learns from them; gradients are averaged, so that all stay equal.
+With ``--device cuda`` one process steps many more worlds and learns from them on the GPU.
 """
 
 import argparse
 import json
+import os
+import signal
+import tempfile
 import time
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import torch
+import torch.distributed as dist
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
+from torch.multiprocessing.spawn import ProcessContext, start_processes
 
 from gym_demohlm.control import features
 from gym_demohlm.errors import SceneError
 from gym_demohlm.wbc.export import export_weights
 from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
+from gym_demohlm.wbc.mirror_model import MirrorModel
 
-STEPS_PER_ITERATION = 24
-LEVEL_STEP, LEVEL_EVERY = 0.08, 20  # the curriculum rises by 0.08 every 20 iterations ...
-LEVEL_TICKS_BETWEEN_FALLS = 1200  # ... while a robot falls less often than this
+_SMALLEST_LOG_NOISE = -2.5
+_POLISHING_NOISE = 0.12
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """How a controller is trained.
+
+    Attributes:
+        mdp: The worlds of one process.
+        num_processes: Processes, one a core; one in all with a GPU.
+        device: Of learning, as torch names it.
+        steps_per_iteration: Control ticks collected in each world before learning.
+        level_step: A curriculum rises by this ...
+        level_every: ... every so many iterations ...
+        level_ticks: ... while a robot that nobody pushes falls less often than once in so many ticks ...
+        push_level_ticks: ... or one that is pushed (the strength of the pushes).
+        save_every: Iterations between checkpoints.
+        evaluate_every: Iterations between evaluations on the deployment model.
+        hidden_sizes: Of actor and critic.
+        polish: Learn slowly and explore little, for the last part: the mean action, which is what runs on the robot,
+            gets steadier.
+        largest_noise: Bound of the actions' standard deviation.
+        symmetric: Whether actor and critic are mirror-symmetric.
+        curriculum: Whether commands and pushes start easy.
+        seed: Of commands, randomisation, exploration.
+    """
+
+    mdp: MdpConfig = field(default_factory=MdpConfig)
+    num_processes: int = 2
+    device: str = "cpu"
+    steps_per_iteration: int = 24
+    level_step: float = 0.08
+    level_every: int = 20
+    level_ticks: int = 1200
+    push_level_ticks: int = 500
+    save_every: int = 50
+    evaluate_every: int = 250
+    hidden_sizes: tuple[int, ...] = (256, 128, 64)
+    polish: bool = False
+    largest_noise: float = 1.0
+    symmetric: bool = True
+    curriculum: bool = True
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the device.
+
+        Raises:
+            SceneError: Several processes with a GPU.
+        """
+        if self.device != "cpu" and self.num_processes != 1:
+            got = f"{self.num_processes} processes with device {self.device!r}"
+            raise SceneError(got, "one process, whose worlds are stepped together", "leave out --num-processes")
+
+
+@dataclass
+class Progress:
+    """Where a run is; kept in its checkpoint."""
+
+    steps: int = 0
+    seconds: float = 0.0
+    iteration: int = 0
+    level: float = 0.0
+    push_level: float = 0.0
 
 
 class MdpVecEnv(VecEnv):
-    """The NumPy MDP behind rsl_rl's interface; restarts ended episodes and raises the curriculum."""
+    """The NumPy MDP behind rsl_rl's interface; restarts ended episodes and counts falls.
 
-    def __init__(self, config: MdpConfig) -> None:
+    Attributes:
+        tally: Ticks and falls of the worlds left alone, ticks and falls of those pushed, since the last reset of it.
+    """
+
+    def __init__(self, config: MdpConfig, device: str = "cpu") -> None:
         self.mdp = WholeBodyMdp(config)
         self.num_envs = config.num_worlds
         self.num_actions = features.ACTION_SIZE
         self.max_episode_length = config.episode_ticks
-        self.episode_length_buf = torch.zeros(config.num_worlds, dtype=torch.long)
-        self.device = "cpu"
+        self.episode_length_buf = torch.zeros(config.num_worlds, dtype=torch.long, device=device)
+        self.device = device
         self.cfg = config
-        self.ticks, self.falls = 0, 0
+        self.tally = np.zeros(4)
 
     def get_observations(self) -> TensorDict:
         """Return the observation groups ``actor`` and ``critic``."""
         actor, critic = self.mdp.observe()
-        groups = {"actor": torch.from_numpy(actor), "critic": torch.from_numpy(critic)}
+        groups = {"actor": self._tensor(actor), "critic": self._tensor(critic)}
         return TensorDict(groups, batch_size=[self.num_envs])
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(array).to(self.device)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Advance all worlds by a control tick and restart those that ended."""
-        reward, fell, ended = self.mdp.step(actions.numpy().astype(np.float64))
-        worlds = np.nonzero(ended)[0]
-        self.ticks += self.num_envs
-        self.falls += int(fell.sum())
-        self.mdp.reset(worlds)
-        extras = {"time_outs": torch.from_numpy((ended & ~fell).astype(np.float32))}
+        reward, fell, ended = self.mdp.step(actions.cpu().numpy().astype(np.float64))
+        pushed = self.mdp.pushed
+        self.tally += [(~pushed).sum(), fell[~pushed].sum(), pushed.sum(), fell[pushed].sum()]
+        self.mdp.reset(np.nonzero(ended)[0])
+        extras = {"time_outs": self._tensor((ended & ~fell).astype(np.float32))}
         return (
             self.get_observations(),
-            torch.from_numpy(reward.astype(np.float32)),
-            torch.from_numpy(ended.astype(np.int64)),
+            self._tensor(reward.astype(np.float32)),
+            self._tensor(ended.astype(np.int64)),
             extras,
         )
 
 
-def ppo_config(seed: int, *, polish: bool = False) -> dict[str, Any]:
-    """Return the rsl_rl configuration of a run.
+def cpu_config(num_processes: int) -> TrainConfig:
+    """Return the configuration for CPU cores: 512 worlds on mujoco.rollout, shared among processes."""
+    return TrainConfig(mdp=MdpConfig(num_worlds=512 // num_processes), num_processes=num_processes)
 
-    Args:
-        seed: Of exploration.
-        polish: Learn slowly and stop exploring, for the last minutes: the mean action, which is what runs on the
-            robot, gets steadier.
-    """
+
+def cuda_config() -> TrainConfig:
+    """Return the configuration for a GPU: 4096 worlds on mujoco_warp in one process that learns there too."""
+    return TrainConfig(mdp=MdpConfig(num_worlds=4096, warp_device="cuda"), num_processes=1, device="cuda")
+
+
+def ppo_config(config: TrainConfig) -> dict[str, Any]:
+    """Return the rsl_rl configuration of a run."""
     network = {
         "class_name": "gym_demohlm.wbc.mirror_model:MirrorModel",
-        "hidden_dims": [256, 128, 64],
+        "hidden_dims": list(config.hidden_sizes),
         "activation": "elu",
         "obs_normalization": True,
+        "symmetric": config.symmetric,
     }
     noise = {"class_name": "GaussianDistribution", "init_std": float(np.exp(-1.0)), "std_type": "log"}
+    polish = config.polish
     return {
-        "seed": seed,
-        "num_steps_per_env": STEPS_PER_ITERATION,
+        "seed": config.seed,
+        "num_steps_per_env": config.steps_per_iteration,
         "save_interval": 10**9,
         "check_for_nan": False,
         "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
@@ -92,11 +175,11 @@ def ppo_config(seed: int, *, polish: bool = False) -> dict[str, Any]:
             "clip_param": 0.2,
             "value_loss_coef": 0.5,
             "use_clipped_value_loss": False,
-            "entropy_coef": -0.002 if polish else 0.003,
-            "learning_rate": 1e-4 if polish else 1e-3,
+            "entropy_coef": -0.001 if polish else 0.003,
+            "learning_rate": 2e-4 if polish else 1e-3,
             "lowest_learning_rate": 5e-5 if polish else 2e-4,
-            "highest_learning_rate": 2e-4 if polish else 1e-3,
-            "desired_kl": 0.01 if polish else 0.02,
+            "highest_learning_rate": 4e-4 if polish else 1e-3,
+            "desired_kl": 0.015 if polish else 0.02,
             "schedule": "adaptive",
             "rnd_cfg": None,
             "symmetry_cfg": None,
@@ -104,18 +187,14 @@ def ppo_config(seed: int, *, polish: bool = False) -> dict[str, Any]:
     }
 
 
-def train(
-    output: Path, *, hours: float, seed: int = 1, resume: bool = False, polish: bool = False, **size: int
-) -> None:
-    """Train for a while, writing ``checkpoint.pt``, ``weights.npz`` and ``log.jsonl`` every 50 iterations.
+def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = False) -> None:
+    """Train for a while, writing ``checkpoint.pt``, ``weights.npz`` and ``log.jsonl``; SIGTERM and Ctrl-C save first.
 
     Args:
         output: Folder of the run.
+        config: Of the run.
         hours: Wall-clock time.
-        seed: Of commands, randomisation, exploration.
         resume: Go on from ``checkpoint.pt``.
-        polish: See ``ppo_config``.
-        size: ``num_worlds``, ``num_variants`` or ``num_threads`` other than those of ``MdpConfig``.
 
     Raises:
         SceneError: ``resume`` without a checkpoint, or a run that exists already without ``resume``.
@@ -125,50 +204,111 @@ def train(
         got = "no checkpoint" if resume else "a run that exists already"
         raise SceneError(f"{got} in {output}", "a fresh folder, or a run to resume", "change --output or --resume")
     output.mkdir(parents=True, exist_ok=True)
+    if config.num_processes == 1:
+        _work(0, output, config, hours, "")
+        return
+    with tempfile.TemporaryDirectory() as meeting:
+        arguments = (output, config, hours, f"file://{meeting}/store")
+        context = cast(
+            ProcessContext,
+            start_processes(_work, arguments, config.num_processes, join=False, start_method="spawn"),
+        )
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: [os.kill(cast(int, pid), signal.SIGTERM) for pid in context.pids()])
+        while not context.join():
+            pass
+
+
+def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: str) -> None:
+    """Be one of the processes; rank 0 writes."""
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    torch.manual_seed(seed)
-    env = MdpVecEnv(MdpConfig(seed=seed, **size))
-    runner = OnPolicyRunner(env, ppo_config(seed, polish=polish), log_dir=str(output / "tensorboard"), device="cpu")
-    progress = {"steps": 0, "seconds": 0.0, "level": 0.0, "iteration": 0}
-    if resume:
-        progress = _load(runner, checkpoint)
-        env.mdp.level = progress["level"]
+    torch.manual_seed(config.seed + 1000 * rank)
+    if meeting:
+        dist.init_process_group("gloo", init_method=meeting, rank=rank, world_size=config.num_processes)
+    env = MdpVecEnv(replace(config.mdp, seed=config.seed + 1000 * rank), config.device)
+    log_dir = str(output / "tensorboard") if rank == 0 else None
+    runner = OnPolicyRunner(env, ppo_config(config), log_dir=log_dir, device=config.device)
+    runner.alg.is_multi_gpu = bool(meeting)  # rsl_rl's name for averaging gradients among processes
+    runner.alg.gpu_global_rank, runner.alg.gpu_world_size = rank, config.num_processes
+    progress = Progress()
+    if (output / "checkpoint.pt").exists():
+        saved = torch.load(output / "checkpoint.pt", weights_only=True, map_location=config.device)
+        runner.alg.load(saved, None, True)
+        progress = Progress(**saved["progress"])
+    elif meeting:
+        runner.alg.broadcast_parameters()
+    if not config.curriculum:
+        progress.level = progress.push_level = 1.0
+    env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
     runner.alg.train_mode()
-    runner.logger.init_logging_writer()
-    start = time.monotonic() - progress["seconds"]
+    if rank == 0:
+        runner.logger.init_logging_writer()
+    stopping: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda received, _: stopping.append(received))
+    start = time.monotonic() - progress.seconds
     end = time.monotonic() + 3600 * hours
-    while time.monotonic() < end:
-        statistics = _iterate(runner, env)
-        progress["iteration"] += 1
-        progress["steps"] += STEPS_PER_ITERATION * env.num_envs
-        progress["seconds"] = time.monotonic() - start
-        _clamp_noise(runner)
-        if progress["iteration"] % LEVEL_EVERY == 0:
-            between_falls = env.ticks / max(env.falls, 1)
-            env.ticks = env.falls = 0
-            if between_falls > LEVEL_TICKS_BETWEEN_FALLS:
-                env.mdp.level = min(1.0, env.mdp.level + LEVEL_STEP)
-            progress["level"] = env.mdp.level
-            _log(output, runner, {**progress, "ticks_between_falls": between_falls, **statistics})
-        if progress["iteration"] % 50 == 0:
-            _save(runner, env, output, progress)
-    _save(runner, env, output, progress)
+    while not _any(bool(stopping) or time.monotonic() > end):
+        statistics = _iterate(runner, env, config)
+        progress.iteration += 1
+        progress.steps += config.steps_per_iteration * env.num_envs * config.num_processes
+        progress.seconds = time.monotonic() - start
+        if progress.iteration % config.level_every == 0:
+            statistics |= _raise_levels(env, progress, config)
+            if rank == 0:
+                _log(output, runner, {**vars(progress), **statistics})
+        if rank == 0 and progress.iteration % config.save_every == 0:
+            _save(runner, env, output, progress, config)
+        if rank == 0 and progress.iteration % config.evaluate_every == 0:
+            _evaluate(output, runner, progress)
+    if rank == 0:
+        _save(runner, env, output, progress, config)
+    if meeting:
+        dist.destroy_process_group()
 
 
-def _iterate(runner: OnPolicyRunner, env: MdpVecEnv) -> dict[str, float]:
+def _any(flag: bool) -> bool:
+    """Return whether the flag is set in any process."""
+    if not dist.is_initialized():
+        return flag
+    value = torch.tensor(float(flag))
+    dist.all_reduce(value, op=dist.ReduceOp.MAX)
+    return bool(value)
+
+
+def _raise_levels(env: MdpVecEnv, progress: Progress, config: TrainConfig) -> dict[str, float]:
+    """Raise the curricula that robots have mastered, and start a new tally."""
+    tally = torch.from_numpy(env.tally.copy())
+    if dist.is_initialized():
+        dist.all_reduce(tally)
+    env.tally[:] = 0
+    between, between_pushed = float(tally[0] / max(tally[1], 1)), float(tally[2] / max(tally[3], 1))
+    if between > config.level_ticks:
+        progress.level = min(1.0, progress.level + config.level_step)
+    if between_pushed > config.push_level_ticks:
+        progress.push_level = min(1.0, progress.push_level + config.level_step)
+    env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
+    return {"ticks_between_falls": between, "ticks_between_falls_pushed": between_pushed}
+
+
+def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dict[str, float]:
     """Collect one batch and learn from it; the loop of rsl_rl's runner without its bookkeeping."""
     rewards = []
     began = time.monotonic()
     with torch.inference_mode():
         seen = env.get_observations()
-        for _ in range(STEPS_PER_ITERATION):
+        for _ in range(config.steps_per_iteration):
             seen, reward, ended, extras = env.step(runner.alg.act(seen))
             runner.alg.process_env_step(seen, reward, ended, extras)
             rewards.append(float(reward.mean()))
         runner.alg.compute_returns(seen)
     collected = time.monotonic()
     losses = runner.alg.update()
+    with torch.inference_mode():
+        for model in (runner.alg.actor, runner.alg.critic):
+            cast(MirrorModel, model).renew_normalization()
+        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE, np.log(config.largest_noise))
     tracking = {f"error/{name}": value for name, value in env.mdp.tracking.items()}
     terms = {f"reward/{name}": value for name, value in env.mdp.terms.items()}
     return {
@@ -176,7 +316,7 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv) -> dict[str, float]:
         "collect_s": collected - began,
         "learn_s": time.monotonic() - collected,
         "learning_rate": runner.alg.learning_rate,
-        "noise": float(_log_noise(runner).detach().exp().mean()),
+        "noise": float(_log_noise(runner).exp().mean()),
         **{f"loss/{name}": float(value) for name, value in losses.items()},
         **tracking,
         **terms,
@@ -184,12 +324,7 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv) -> dict[str, float]:
 
 
 def _log_noise(runner: OnPolicyRunner) -> torch.Tensor:
-    return cast(Any, runner.alg.actor.distribution).log_std_param
-
-
-def _clamp_noise(runner: OnPolicyRunner) -> None:
-    with torch.no_grad():
-        _log_noise(runner).clamp_(-2.5, 0.0)
+    return cast(Any, runner.alg.actor.distribution).log_std_param.data
 
 
 def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None:
@@ -201,47 +336,63 @@ def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None
     errors = " ".join(f"{name[6:]} {value:.3f}" for name, value in values.items() if name.startswith("error/"))
     print(
         f"{values['steps'] / 1e6:.2f} M steps, {values['seconds'] / 60:.1f} min, level {values['level']:.2f}, "
-        f"{values['ticks_between_falls']:.0f} ticks between falls, reward {values['reward']:.3f}, "
+        f"pushes {values['push_level']:.2f}, {values['ticks_between_falls']:.0f} ticks between falls, "
+        f"{values['ticks_between_falls_pushed']:.0f} pushed, reward {values['reward']:.3f}, "
         f"noise {values['noise']:.2f}, "
         f"rate {values['learning_rate']:.1e}, {values['collect_s']:.2f} + {values['learn_s']:.2f} s | {errors}",
         flush=True,
     )
 
 
-def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: dict[str, float]) -> None:
+def _evaluate(output: Path, runner: OnPolicyRunner, progress: Progress) -> None:
+    """Run a short benchmark of the saved weights on the deployment model and log it."""
+    from gym_demohlm.wbc.benchmark import quick  # the deployment model is not needed to learn
+
+    found = {f"deployment/{name}": value for name, value in quick(output / "weights.npz").items()}
+    line = {"steps": progress.steps, "seconds": round(progress.seconds, 1), **found}
+    with (output / "evaluation.jsonl").open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    print(json.dumps(line), flush=True)
+    if runner.logger.writer is not None:
+        for name, value in found.items():
+            runner.logger.writer.add_scalar(name, value, progress.steps)
+
+
+def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progress, config: TrainConfig) -> None:
     partial = output / "checkpoint.partial"
-    torch.save({**runner.alg.save(), "progress": progress}, partial)
+    torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
     partial.replace(output / "checkpoint.pt")
-    facts = {"training_command": "demohlm train-controller", **progress}
-    export_weights(runner.alg.get_policy(), env.mdp.reference.shift_table, output / "weights.npz", facts)
-
-
-def _load(runner: OnPolicyRunner, checkpoint: Path) -> dict[str, float]:
-    saved = torch.load(checkpoint, weights_only=True)
-    runner.alg.load(saved, None, True)
-    return saved["progress"]
+    facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
+    export_weights(runner.alg.get_policy(), env.mdp.reference, output / "weights.npz", facts)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm train-controller``."""
     parser.add_argument("--output", type=Path, default=Path("runs/controller"), help="folder of the run")
-    parser.add_argument("--hours", type=float, default=2.0, help="wall-clock time of training")
+    parser.add_argument("--hours", type=float, default=3.0, help="wall-clock time of training")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="mujoco.rollout, or mujoco_warp")
+    parser.add_argument("--num-processes", type=int, help="cpu: processes, one a core, that share 512 worlds (2)")
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
-    parser.add_argument("--polish", action="store_true", help="learn slowly, without exploring: the last part of a run")
+    parser.add_argument("--polish", action="store_true", help="learn slowly, exploring little: the last part of a run")
+    parser.add_argument("--without", choices=("symmetry", "reference", "curriculum"), help="to see what it is worth")
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Run ``demohlm train-controller``."""
-    train(
-        arguments.output,
-        hours=arguments.hours,
-        seed=arguments.seed,
-        resume=arguments.resume,
+    config = cuda_config() if arguments.device == "cuda" else cpu_config(arguments.num_processes or 2)
+    processes = arguments.num_processes or config.num_processes
+    config = replace(
+        config,
+        mdp=replace(config.mdp, use_reference=arguments.without != "reference"),
+        num_processes=processes,
         polish=arguments.polish,
-        num_threads=arguments.num_threads,
+        largest_noise=_POLISHING_NOISE if arguments.polish else config.largest_noise,
+        symmetric=arguments.without != "symmetry",
+        curriculum=arguments.without != "curriculum",
+        seed=arguments.seed,
     )
+    train(arguments.output, config, hours=arguments.hours, resume=arguments.resume)
 
 
 if __name__ == "__main__":

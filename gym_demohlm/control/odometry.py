@@ -1,0 +1,96 @@
+"""Joint positions and velocities, gravity and gyro -> how fast the pelvis moves over the foot that stands.
+
+Leg odometry: the lower foot is taken to be planted, so the pelvis moves opposite to it. Only signals of a real G1.
+"""
+
+import numpy as np
+
+from gym_demohlm.robot import g1
+
+_Vector = tuple[np.ndarray, np.ndarray, np.ndarray]
+_FILTER = 0.4  # share of the new value in each tick's average: a time constant of about 40 ms
+_HEIGHT_BLEND = 0.03  # m: soles this far apart in height count as one planted foot, nearer ones as a mixture
+_EPSILON = 1e-4  # s: step of the derivative along the joint velocities
+
+
+def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
+    """Return the left leg from hip to sole: each joint's axis, its offset from its parent [m] and fixed pitch [rad]."""
+    spec = g1.read_mjcf()
+    links = []
+    for joint in g1.LEG_JOINTS[: len(g1.LEG_JOINTS) // 2]:
+        body = spec.body(f"{joint}_link")
+        axis = "xyz"[int(np.argmax(np.abs(spec.joint(f"{joint}_joint").axis)))]
+        links.append((axis, np.array(body.pos), 2 * float(np.arctan2(body.quat[2], body.quat[0]))))
+    return links, np.array([0.035, 0.0, -0.035])
+
+
+_LINKS, _SOLE = _chain()
+_UP = np.array([0.0, 0.0, 1.0])
+_MIRROR_Y = np.array([1.0, -1.0])
+
+
+def _turn(axis: str, cos: np.ndarray, sin: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> _Vector:
+    if axis == "x":
+        return x, cos * y - sin * z, sin * y + cos * z
+    if axis == "y":
+        return cos * x + sin * z, y, cos * z - sin * x
+    return cos * x - sin * y, sin * x + cos * y, z
+
+
+def sole_points(legs: np.ndarray, offset: np.ndarray | None = None) -> np.ndarray:
+    """Return a point of each sole in the pelvis frame.
+
+    Args:
+        legs: (..., 12) positions of ``g1.LEG_JOINTS`` [rad].
+        offset: (3,) the point in the ankle-roll frame [m]; the sole's middle by default.
+
+    Returns:
+        (..., 2, 3) left and right [m].
+    """
+    offset = _SOLE if offset is None else offset
+    joints = np.ascontiguousarray(legs).reshape(*legs.shape[:-1], 2, len(_LINKS))
+    cos, sin = np.cos(joints), np.sin(joints)  # of all at once: a strided part may round otherwise
+    x, y, z = (np.broadcast_to(value, joints.shape[:-1]) for value in offset)
+    for index in range(len(_LINKS) - 1, -1, -1):
+        axis, position, pitch = _LINKS[index]
+        x, y, z = _turn(axis, cos[..., index], sin[..., index], x, y, z)
+        if pitch:
+            x, y, z = _turn("y", np.cos(pitch), np.sin(pitch), x, y, z)
+        x, y, z = x + position[0], y + _MIRROR_Y * position[1], z + position[2]
+    return np.stack([x, y, z], axis=-1)
+
+
+def estimate(
+    down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate the pelvis velocity, and how far the planted sole is tipped over.
+
+    Args:
+        down: (N, 3) direction of gravity in the pelvis frame.
+        gyro: (N, 3) angular velocity in the pelvis frame [rad/s].
+        legs: (N, 12) positions of ``g1.LEG_JOINTS`` [rad].
+        leg_rates: (N, 12) their velocities [rad/s].
+
+    Returns:
+        Horizontal velocity in the heading frame (N, 2) [m/s], and the tilt of the planted sole (N,) [rad].
+    """
+    both = sole_points(np.stack([legs, legs + _EPSILON * leg_rates]))  # (2, N, 2, 3)
+    soles = both[0]
+    normals = sole_points(legs, _SOLE + _UP) - soles
+    moving = (both[1] - soles) / _EPSILON + np.cross(gyro[:, None], soles)
+    up = -down
+    forward = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
+    forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
+    heading = np.stack([forward, np.cross(up, forward)], axis=1)  # (N, 2, 3): rows are heading axes in the pelvis frame
+    height = (soles * up[:, None]).sum(axis=2)
+    left = np.clip(0.5 + (height[:, 1] - height[:, 0]) / _HEIGHT_BLEND, 0.0, 1.0)
+    weights = np.stack([left, 1 - left], axis=1)[..., None]  # (N, 2, 1)
+    velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
+    upright = (normals * up[:, None]).sum(axis=2)
+    tilt = np.arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
+    return velocity, tilt
+
+
+def smooth(average: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Move a running average (N, 2) towards the newest estimate."""
+    return average + _FILTER * (np.clip(velocity, -2.0, 2.0) - average)

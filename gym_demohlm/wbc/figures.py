@@ -1,0 +1,465 @@
+"""The whole-body controller -> pictures of it: tracking over time, push survival, learning curve, and a video.
+
+``demohlm benchmark controller --figures docs --run runs/controller`` draws them all. One robot goes through a script of
+all commands on the deployment model; what it does is drawn over what it was told, and filmed.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import av
+import matplotlib
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from PIL import Image, ImageDraw, ImageFont
+
+from gym_demohlm.control import command
+from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.errors import SceneError
+from gym_demohlm.rendering import Renderer
+from gym_demohlm.simulation import CONTROL_DT, STEP_DT, TICKS, Simulation
+from gym_demohlm.wbc.benchmark import ARM_MIRROR, push_robots, tracked
+from gym_demohlm.wbc.trial import trial_simulation, trial_task
+
+matplotlib.use("Agg")
+
+FRAMES_PER_SECOND = 25
+PUSH_SPEEDS = tuple(np.round(np.arange(0.1, 1.01, 0.1), 1))  # m/s
+ARM_SPEED = 2.0  # rad/s, of the script
+_TOLD, _DONE, _WALKS, _STANDS = "#d1495b", "#2e4057", "#00798c", "#edae49"
+_CHANNELS = {  # name in ``tracked`` -> column of the command, axis label
+    "forward": (0, "forward [m/s]"),
+    "sideways": (1, "sideways [m/s]"),
+    "yaw_rate": (2, "yaw rate [rad/s]"),
+    "height": (command.HEIGHT, "height [m]"),
+    "pitch": (command.PITCH, "torso pitch [rad]"),
+    "roll": (command.ROLL, "torso roll [rad]"),
+    "yaw": (command.YAW, "torso yaw [rad]"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A part of the script: what is commanded for how long; all else is at rest.
+
+    Attributes:
+        label: What a viewer reads.
+        seconds: How long.
+        told: Column of the command -> value.
+        arms: Seven angles of the left arm, mirrored for the right one [rad]; home by default.
+        push: Sudden velocity of the base (forward, sideways) at the start [m/s].
+    """
+
+    label: str
+    seconds: float
+    told: Mapping[int, float] = field(default_factory=dict)
+    arms: tuple[float, ...] | None = None
+    push: tuple[float, float] = (0.0, 0.0)
+
+
+_REACH, _SPREAD = (-0.9, 0.1, 0.0, 0.9, 0.0, 0.0, 0.0), (-0.3, 1.2, 0.0, 1.2, 0.0, 0.0, 0.0)
+SCRIPT = (
+    Scene(label="stand", seconds=1.5),
+    Scene(label="forward 0.6 m/s", seconds=3.5, told={0: 0.6}),
+    Scene(label="back 0.4 m/s", seconds=3.0, told={0: -0.4}),
+    Scene(label="left 0.3 m/s", seconds=2.5, told={1: 0.3}),
+    Scene(label="right 0.3 m/s", seconds=2.5, told={1: -0.3}),
+    Scene(label="turn 0.8 rad/s", seconds=2.5, told={2: 0.8}),
+    Scene(label="turn -0.8 rad/s", seconds=2.5, told={2: -0.8}),
+    Scene(label="stand", seconds=2.0),
+    Scene(label="squat to 0.40 m", seconds=3.5, told={command.HEIGHT: 0.40}),
+    Scene(label="rise", seconds=2.0),
+    Scene(label="bend by 1.0 rad", seconds=3.0, told={command.PITCH: 1.0}),
+    Scene(label="squat and bend", seconds=3.0, told={command.HEIGHT: 0.45, command.PITCH: 0.8}),
+    Scene(label="upright", seconds=2.0),
+    Scene(label="roll 0.3 rad", seconds=2.0, told={command.ROLL: 0.3}),
+    Scene(label="roll -0.3 rad", seconds=2.5, told={command.ROLL: -0.3}),
+    Scene(label="yaw 0.8 rad", seconds=2.5, told={command.YAW: 0.8}),
+    Scene(label="yaw -0.8 rad", seconds=3.0, told={command.YAW: -0.8}),
+    Scene(label="arms forward", seconds=2.0, arms=_REACH),
+    Scene(label="arms aside, walking", seconds=3.0, told={0: 0.4}, arms=_SPREAD),
+    Scene(label="stand", seconds=2.0),
+    Scene(label="push of 0.6 m/s from the side", seconds=2.5, push=(0.0, 0.6)),
+    Scene(label="push of 0.6 m/s while walking", seconds=3.0, told={0: 0.4}, push=(0.0, -0.6)),
+    Scene(label="stand", seconds=1.5),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Take:
+    """One robot's way through a script, at every control tick.
+
+    Attributes:
+        labels: (ticks,) what was going on.
+        commands: (ticks, 23).
+        states: (ticks, size) of the physics.
+        fell: Whether the robot fell.
+    """
+
+    labels: tuple[str, ...]
+    commands: np.ndarray
+    states: np.ndarray
+    fell: bool
+
+
+class _Recorder(Simulation):
+    """One world that keeps the physics state and the command of every control tick."""
+
+    def __init__(self, weights: Path | None) -> None:
+        super().__init__(trial_task(), controller=WholeBodyController(1, weights))
+        self.states: list[np.ndarray] = []
+        self.told: list[np.ndarray] = []
+
+    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        rows = super()._tick(tick, rows, commands)
+        self.states.append(self._physics[0].copy())
+        self.told.append(commands[0].copy())
+        return rows
+
+    def push(self, forward: float, sideways: float) -> None:
+        """Change the velocity of the base suddenly, in its heading frame [m/s]."""
+        T_world_pelvis = self.pose("pelvis")[0]
+        heading = np.arctan2(T_world_pelvis[1, 0], T_world_pelvis[0, 0])
+        first = self.scene.base_qvel
+        self._qvel[0, first] += np.cos(heading) * forward - np.sin(heading) * sideways
+        self._qvel[0, first + 1] += np.sin(heading) * forward + np.cos(heading) * sideways
+
+    def show(self, state: np.ndarray) -> None:
+        """Bring the world to a recorded physics state."""
+        self.restore({**self.snapshot(), "physics": state[None]})
+
+
+def perform(recorder: _Recorder, script: Sequence[Scene] = SCRIPT) -> Take:
+    """Lead one robot through a script, until its end or a fall."""
+    recorder.reset([recorder.task.default_state()])
+    recorder.states.clear()
+    recorder.told.clear()
+    labels: list[str] = []
+    now = command.rest()
+    for scene in script:
+        recorder.push(*scene.push)
+        goal = command.rest()
+        goal[list(scene.told)] = list(scene.told.values())
+        if scene.arms is not None:
+            goal[command.ARMS] = [*scene.arms, *np.array(scene.arms) * ARM_MIRROR]
+        for _ in range(round(scene.seconds / STEP_DT)):
+            step = ARM_SPEED * STEP_DT
+            arms = now[command.ARMS] + np.clip(goal[command.ARMS] - now[command.ARMS], -step, step)
+            now = goal.copy()
+            now[command.ARMS] = arms
+            recorder.step(now[None])
+            labels.extend([scene.label] * TICKS)
+            if recorder.fallen()[0]:
+                break
+        if recorder.fallen()[0]:
+            break
+    return Take(
+        labels=tuple(labels),
+        commands=np.array(recorder.told),
+        states=np.array(recorder.states),
+        fell=bool(recorder.fallen()[0]),
+    )
+
+
+def draw_tracking(recorder: _Recorder, take: Take, path: Path) -> None:
+    """Draw what a robot was told and what it did, one row a channel, each over the range of its commands."""
+    done: dict[str, list[float]] = {name: [] for name in _CHANNELS}
+    for state in take.states:
+        recorder.show(state)
+        for name, values in tracked(recorder).items():
+            done[name].append(float(values[0]))
+    seconds = CONTROL_DT * (1 + np.arange(len(take.labels)))
+    figure = Figure(figsize=(11, 11), layout="constrained")
+    rows = figure.subplots(len(_CHANNELS), 1, sharex=True)
+    for axes, (name, (column, label)) in zip(rows, _CHANNELS.items(), strict=True):
+        _shade(axes, take.labels)
+        axes.plot(seconds, done[name], color=_DONE, linewidth=0.9, label="measured")
+        axes.plot(seconds, take.commands[:, column], color=_TOLD, linewidth=1.4, linestyle="--", label="commanded")
+        axes.set_ylabel(label, fontsize=9)
+        margin = 0.1 * (command.UPPER[column] - command.LOWER[column])
+        axes.set_ylim(command.LOWER[column] - margin, command.UPPER[column] + margin)
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    for start, stop, label in _spans(take.labels):
+        middle = 0.5 * (start + stop)
+        rows[0].text(middle, 1.04, label, rotation=55, fontsize=7.5, transform=rows[0].get_xaxis_transform())
+    rows[0].legend(loc="lower right", fontsize=8, ncols=2)
+    rows[-1].set_xlabel("time [s]")
+    figure.savefig(path, dpi=100)
+
+
+def film(recorder: _Recorder, take: Take, path: Path, *, shadows: bool = True) -> None:
+    """Film a take with a camera that follows the robot, 640x480.
+
+    Args:
+        recorder: Its world.
+        take: What to film.
+        path: An ``.mp4`` file.
+        shadows: Drawn shadows, which take most of the time of an image.
+    """
+    every = round(1 / (FRAMES_PER_SECOND * CONTROL_DT))
+    camera = mujoco.MjvCamera()
+    camera.type, camera.distance, camera.azimuth, camera.elevation = mujoco.mjtCamera.mjCAMERA_FREE, 2.3, 130.0, -12.0
+    camera.lookat[:] = take.states[0, 1], take.states[0, 2], 0.62
+    font = ImageFont.load_default(size=22)
+    recorder.model.vis.quality.shadowsize = 1024  # px: an image takes a quarter less time than with the scene's 4096
+    with Renderer(recorder.model, shadows=shadows) as renderer, av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=FRAMES_PER_SECOND, options={"crf": "30", "preset": "slow"})
+        stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
+        for tick in range(0, len(take.labels), every):
+            recorder.show(take.states[tick])
+            lag = 1 - every * CONTROL_DT / 0.5  # follows within half a second
+            camera.lookat[:2] = lag * camera.lookat[:2] + (1 - lag) * take.states[tick, 1:3]
+            image = Image.fromarray(renderer.render(recorder.mj_data(), camera))
+            ImageDraw.Draw(image).text((16, 12), take.labels[tick], fill=(20, 20, 20), font=font)
+            container.mux(stream.encode(av.VideoFrame.from_image(image)))
+        container.mux(stream.encode())
+
+
+PUSHED = {  # name -> column of the command -> value
+    "standing": {},
+    "squatting at 0.45 m": {command.HEIGHT: 0.45},
+    "walking at 0.4 m/s": {0: 0.4},
+}
+
+
+def push_survival(
+    weights: Path | None,
+    *,
+    num_worlds: int = 24,
+    speeds: Sequence[float] = PUSH_SPEEDS,
+    seed: int = 0,
+    num_threads: int = 2,
+) -> dict[str, list[float]]:
+    """Push robots once, from a random side, and count who still stands 3 s later.
+
+    Args:
+        weights: Of the controller; the packaged ones by default.
+        num_worlds: Robots for each speed and each of ``PUSHED``; pushed one after the other over a second, so that
+            those who walk are pushed in all phases of their gait.
+        speeds: Of the pushes [m/s].
+        seed: Of the pushes.
+        num_threads: Threads of the physics.
+
+    Returns:
+        For each of ``PUSHED`` the share that stands, one number a speed.
+    """
+    rng = np.random.default_rng(seed)
+    simulation = trial_simulation(len(PUSHED) * len(speeds) * num_worlds, num_threads=num_threads, weights=weights)
+    shape = (len(PUSHED), len(speeds), num_worlds)
+    commands = np.tile(command.rest(), (*shape, 1))
+    for index, told in enumerate(PUSHED.values()):
+        commands[index][..., list(told)] = list(told.values())
+    commands = commands.reshape(-1, command.SIZE)
+    speed = np.broadcast_to(np.asarray(speeds)[:, None], shape).ravel()
+    first, spread, after = (round(span / STEP_DT) for span in (2.0, 1.0, 3.0))
+    pushed_at = first + np.broadcast_to(np.arange(num_worlds) % spread, shape).ravel()
+    alive = np.ones(len(commands), dtype=bool)
+    for step in range(first + spread + after):
+        if (pushed_at == step).any():
+            push_robots(simulation, np.where(pushed_at == step, speed, 0.0), rng)
+        alive &= ~simulation.step(commands, active=alive & (step < pushed_at + after)).unstable
+        alive &= ~simulation.fallen()
+    simulation.close()
+    return dict(zip(PUSHED, alive.reshape(shape).mean(axis=2).tolist(), strict=True))
+
+
+def draw_push_survival(found: Mapping[str, Sequence[float]], num_worlds: int, path: Path) -> None:
+    """Draw the share of robots that a push does not fell over its speed, with 95 % Wilson intervals.
+
+    Args:
+        found: From ``push_survival`` with ``PUSH_SPEEDS``.
+        num_worlds: Robots behind each number.
+        path: A ``.png`` file.
+    """
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    apart = 0.012  # m/s, so that intervals do not hide one another
+    for index, ((name, shares), color) in enumerate(zip(found.items(), (_STANDS, _TOLD, _WALKS), strict=True)):
+        share = np.asarray(shares)
+        low, high = _wilson(share, num_worlds)
+        axes.errorbar(
+            np.array(PUSH_SPEEDS) + apart * (index - 1),
+            100 * share,
+            100 * np.clip([share - low, high - share], 0.0, 1.0),
+            fmt="o-",
+            markersize=4,
+            linewidth=1.3,
+            elinewidth=0.8,
+            color=color,
+            label=name,
+        )
+    axes.set(xlabel="push: sudden velocity of the base, random direction [m/s]", ylabel="still up 3 s later [%]")
+    axes.set_ylim(-3, 103)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower left")
+    figure.savefig(path, dpi=110)
+
+
+def draw_learning(run: Path, path: Path) -> None:
+    """Draw how a training run went, over steps and over minutes.
+
+    Args:
+        run: Its folder: ``log.jsonl`` is of the training worlds, ``evaluation.jsonl`` of the deployment model.
+        path: A ``.png`` file.
+
+    Raises:
+        SceneError: The folder holds no log.
+    """
+    log, evaluation = _read_lines(run / "log.jsonl"), _read_lines(run / "evaluation.jsonl")
+    if not log:
+        raise SceneError(f"no log.jsonl in {run}", "the folder of a training run", "give the --output of the training")
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    grid = figure.subplots(2, 2, sharex=True)
+    velocity = np.hypot(_column(log, "error/walk_vx"), _column(log, "error/walk_vy"))
+    panels: tuple[tuple[Axes, str, dict[str, np.ndarray], dict[str, str]], ...] = (
+        (
+            grid[0, 0],
+            "walking: error [m/s, rad/s]",
+            {"velocity": velocity, "yaw rate": _column(log, "error/walk_yaw_rate")},
+            {"velocity": "walking/linear_velocity", "yaw rate": "walking/yaw_rate"},
+        ),
+        (
+            grid[0, 1],
+            "standing: error [m, rad]",
+            {name: _column(log, f"error/stand_{name}") for name in ("height", "pitch", "roll", "yaw")},
+            {
+                "height": "standing/height",
+                "pitch": "standing/torso_pitch",
+                "roll": "standing/torso_roll",
+                "yaw": "standing/torso_yaw",
+            },
+        ),
+        (
+            grid[1, 0],
+            "time between falls in training [s]",
+            {
+                "left alone": CONTROL_DT * _column(log, "ticks_between_falls"),
+                "pushed": CONTROL_DT * _column(log, "ticks_between_falls_pushed"),
+            },
+            {},
+        ),
+        (
+            grid[1, 1],
+            "curricula, survival of 8 s",
+            {"command range": _column(log, "level"), "push strength": _column(log, "push_level")},
+            {"survival": "survival", "survival, pushed": "survival_pushed"},
+        ),
+    )
+    steps, minutes = _column(log, "steps") / 1e6, _column(log, "seconds") / 60
+    measured_at = _column(evaluation, "steps") / 1e6
+    colors = (_DONE, _TOLD, _WALKS, _STANDS)
+    for axes, title, lines, points in panels:
+        names = list(dict.fromkeys([*lines, *points]))
+        for name, color in zip(names, colors, strict=False):
+            if name in lines:
+                axes.plot(steps, lines[name], color=color, linewidth=1.2, label=name)
+            if name in points and evaluation:
+                measured = _column(evaluation, f"deployment/{points[name]}")
+                label = None if name in lines else name
+                axes.plot(measured_at, measured, "o", color=color, markersize=4, label=label)
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_xlim(0.0, steps[-1])
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    for axes in (*grid[0], grid[1, 0]):
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    for axes in grid[1]:
+        axes.set_xlabel("control steps [million]")
+    for axes in grid[0]:
+        # From nothing, and past the end, so that the axes' own margins have minutes too.
+        of_steps, of_minutes = (np.concatenate([[0.0], values, 2 * values[-1:]]) for values in (steps, minutes))
+        above = axes.secondary_xaxis(
+            "top",
+            functions=(
+                lambda x, a=of_steps, b=of_minutes: np.interp(x, a, b),
+                lambda x, a=of_steps, b=of_minutes: np.interp(x, b, a),
+            ),
+        )
+        above.set_xlabel("minutes", fontsize=9)
+        axes.set_title(axes.get_title(loc="left"), fontsize=10, loc="left", y=1.16)
+    figure.suptitle("lines: training worlds, with exploration and noise; dots: deployment model", fontsize=9)
+    figure.savefig(path, dpi=100)
+
+
+def draw(
+    folder: Path,
+    weights: Path | None = None,
+    run: Path | None = None,
+    seed: int = 0,
+    num_threads: int = 2,
+    *,
+    script: Sequence[Scene] = SCRIPT,
+    num_pushed: int = 24,
+) -> dict[str, Any]:
+    """Draw all figures into a folder and return their names, with the numbers behind the push-survival curve.
+
+    Args:
+        folder: Made where absent.
+        weights: Of the controller; the packaged ones by default.
+        run: Folder of a training run; no learning curve without.
+        seed: Of the pushes.
+        num_threads: Threads of the physics.
+        script: What one robot goes through.
+        num_pushed: Robots behind each point of the push-survival curve.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {name: folder / f"controller_{name}" for name in ("tracking.png", "pushes.png", "commands.mp4")}
+    recorder = _Recorder(weights)
+    take = perform(recorder, script)
+    draw_tracking(recorder, take, paths["tracking.png"])
+    pushes = push_survival(weights, num_worlds=num_pushed, seed=seed, num_threads=num_threads)
+    draw_push_survival(pushes, num_pushed, paths["pushes.png"])
+    drawn = list(paths.values())
+    if run is not None:
+        drawn.append(folder / "controller_learning.png")
+        draw_learning(run, drawn[-1])
+    film(recorder, take, paths["commands.mp4"])  # last: it takes longest
+    return {
+        "figures": [path.name for path in drawn],
+        "fell": take.fell,
+        "seconds": len(take.labels) * CONTROL_DT,
+        "push_speeds": list(PUSH_SPEEDS),
+        "push_survival": pushes,
+        "robots_a_point": num_pushed,
+    }
+
+
+def _spans(labels: Sequence[str]) -> list[tuple[float, float, str]]:
+    """Return start and end [s] of each stretch with one label."""
+    changes = [index for index in range(1, len(labels)) if labels[index] != labels[index - 1]]
+    edges = [0, *changes, len(labels)]
+    return [(a * CONTROL_DT, b * CONTROL_DT, labels[a]) for a, b in pairwise(edges)]
+
+
+def _shade(axes: Axes, labels: Sequence[str]) -> None:
+    for index, (start, stop, _) in enumerate(_spans(labels)):
+        if index % 2:
+            axes.axvspan(start, stop, color="0.94", linewidth=0)
+
+
+def _wilson(share: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the 95 % Wilson interval of shares out of ``count`` trials."""
+    z = 1.96
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
+    return middle - half, middle + half
+
+
+def _read_lines(path: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _column(lines: Sequence[Mapping[str, float]], name: str) -> np.ndarray:
+    """Return one number of every line, NaN where a line lacks it."""
+    return np.array([line.get(name, np.nan) for line in lines])
