@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from gym_demohlm import poses
 from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik import IKSettings, IKSolution, WholeBodyIK
 from gym_demohlm.errors import CommandError
@@ -106,6 +107,26 @@ def around(x: float, z: float, half: float = 0.13, tilt: float | None = None) ->
 @pytest.fixture(scope="module")
 def ik() -> WholeBodyIK:
     return WholeBodyIK(robot.robot_spec("rubber").compile())
+
+
+def test_arms_come_to_rest_where_a_wrist_cannot_turn_far_enough(ik: WholeBodyIK) -> None:
+    """A left palm held upwards low beside the body, as measured: less damped, its elbow swings by 0.4 rad a call."""
+    legs = [-0.86, -0.148, -0.187, 1.314, -0.536, -0.092, -0.895, 0.179, 0.208, 1.309, -0.489, 0.073]
+    waist, left_arm = [-0.035, 0.006, 0.257], [-0.962, 0.297, 0.936, 1.222, -0.968, 0.316, -0.598]
+    right_arm = [-0.937, -0.113, -0.137, -0.45, 0.148, 1.265, -0.155]
+    commands = [np.array([0.0, 0.0, 0.0, 0.653, -0.007, 0.346, -0.034, *left_arm, *right_arm, 0.0, 0.0])]
+    for _ in range(14):
+        solution = ik.solve(
+            T_world_pelvis=poses.from_rotation(
+                poses.rotation_from_rpy([0.011, 0.084, -0.011]), [-0.126, -0.003, 0.649]
+            ),
+            joint_positions=np.array(legs + waist + left_arm + right_arm),
+            T_world_left=poses.from_rotation(turn(0, 0.03 - np.pi / 2), [0.343, 0.22, 0.707]),
+            T_world_right=None,
+            previous=commands[-1],
+        )
+        commands.append(solution.command)
+    assert np.abs(np.diff(commands[-5:], axis=0)).max() < 0.01  # rad, m
 
 
 @pytest.mark.parametrize("z", [0.29, 0.4, 0.6, 0.8, 1.0])

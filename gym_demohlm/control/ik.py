@@ -77,8 +77,8 @@ class IKSettings:
     straightest_elbow: float = 1.0
     torso_posture_weight: float = 0.001
     arm_posture_weight: float = 0.001
-    regularization: float = 1e-4
-    error_damping: float = 0.5
+    regularization: float = 2e-3
+    error_damping: float = 1.5
     iterations: int = 2
 
 

@@ -55,5 +55,5 @@ def _plan(view: SceneView) -> list[Waypoint]:
         Waypoint(T_world_hands=hands(wait, (-0.02, end_y - 0.08, PUSH_Z + 0.02)), duration_s=0.8),
         Waypoint(T_world_hands=hands(away, (-0.04, start_y - 0.06, PUSH_Z + 0.06)), duration_s=1.0),
         Waypoint(T_world_hands=hands(taken, (-0.06, start_y - 0.12, PUSH_Z)), duration_s=1.5),
-        Waypoint(T_world_hands=hands(taken, (-0.06, start_y - 0.12, PUSH_Z)), duration_s=1.6),
+        Waypoint(T_world_hands=hands(taken, (-0.06, start_y - 0.12, PUSH_Z)), duration_s=2.2),
     ]

@@ -17,7 +17,7 @@ GRIP_HEIGHT = -0.01  # m above the bottle's middle
 BESIDE = -0.075  # m, the hand from the bowl's middle, to the right
 OVER = 0.115  # m, the hand above the bowl's middle while it pours
 TIPPED = -1.95  # rad: the bottle's mouth turns left and down
-LEFT_ASIDE = (0.20, 0.28, 0.72)  # m, the left palm in the base frame, clear of the table
+LEFT_ASIDE = (0.12, 0.28, 0.74)  # m, the left palm in the base frame, clear of the table
 
 
 def make_operator() -> PathOperator:
