@@ -69,7 +69,7 @@ class IKSettings:
     torso_orientation_weight: float = 0.05
     arm_orientation_weight: float = 0.5
     height_weight: float = 0.15
-    pitch_weight: float = 0.01
+    pitch_weight: float = 0.05
     yaw_weight: float = 0.1
     roll_weight: float = 1.0
     head_weight: float = 1.0

@@ -205,7 +205,10 @@ def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = Fal
         raise SceneError(f"{got} in {output}", "a fresh folder, or a run to resume", "change --output or --resume")
     output.mkdir(parents=True, exist_ok=True)
     if config.num_processes == 1:
-        _work(0, output, config, hours, "")
+        try:
+            _work(0, output, config, hours, "")
+        finally:
+            torch.set_flush_denormal(False)  # of this process, whatever it does next
         return
     with tempfile.TemporaryDirectory() as meeting:
         arguments = (output, config, hours, f"file://{meeting}/store")

@@ -19,7 +19,7 @@ START: InitialState = {"robot": [-0.10, 0.12, 0.0], "object": [0.0, -0.08, 0.0]}
 
 RAISED = (0.12, -0.24, 0.95)  # m, ahead of the pelvis, to its left, above the floor: clear of the table's edge
 ABOVE, OVER = 0.12, 0.06  # m, palm over the cube's top on the way to it
-PRESS = 0.006  # m, how far below the cube's top the palm is asked to be
+PRESS = 0.018  # m, how far below the cube's top the palm is asked to be
 FINGERS_IN = 0.25  # rad, the right hand turned to the left, as a forearm that reaches inwards has it
 
 
