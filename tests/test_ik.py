@@ -7,6 +7,7 @@ import pytest
 from gym_demohlm import poses
 from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik import IKSettings, IKSolution, WholeBodyIK
+from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1, robot
 
@@ -23,13 +24,17 @@ def turn(axis: int, angle: float) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
+REST = (g1.PELVIS_HEIGHT, 0.0)  # height, pitch
+
+
 class ObedientRobot:
     """A robot that stands at a place and is, at once, where its command says."""
 
     def __init__(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
         self.model = robot.robot_spec("rubber").compile()
         self.data = mujoco.MjData(self.model)
-        self.place, self.yaw = (x, y), yaw
+        self.place, self.yaw = np.array([x, y]), yaw
+        self.reference = Weights().make_reference()
         self.command = command.rest()
 
     def measure(self) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +42,8 @@ class ObedientRobot:
         height, roll, pitch, yaw = self.command[command.TORSO]
         T = np.eye(4)
         T[:3, :3] = turn(2, self.yaw) @ turn(1, PELVIS_SHARE * pitch)
-        T[:3, 3] = [*self.place, height]
+        back = self.reference.pelvis_ahead(height, pitch)[0] - self.reference.pelvis_ahead(*REST)[0]
+        T[:3, 3] = [*(self.place + back * turn(2, self.yaw)[:2, 0]), height]
         R_pelvis_torso = T[:3, :3].T @ turn(2, self.yaw + yaw) @ turn(1, pitch) @ turn(0, roll)
         q = g1.HOME.copy()
         q[WAIST] = [  # of R = Rz(yaw) Rx(roll) Ry(pitch), the order of the waist's joints

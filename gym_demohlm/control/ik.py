@@ -1,13 +1,16 @@
 """Desired poses of the palms, in the world -> the command whose torso and arms bring them there.
 
 Two quadratic problems a call, with placo's kinematics and solver. The torso pass sees the robot as the whole-body
-controller moves it: pelvis x, y and heading are as measured, and four joints that are the command itself (height, yaw,
-pitch, roll) carry the torso. The arm pass moves the arms alone on the torso as it is measured now, so the hands are
-right while the torso is still on its way. It solves for where the arms shall be; the command is that and what the PD
-servos of the arms sag under gravity, so no error has to build up first, and a squeeze gains no force with time. Bounds
-and rates are limits inside the problems: an unreachable target stretches the robot and stops.
+controller moves it: from where its pelvis is measured, four joints that are the command itself (height, yaw, pitch,
+roll) carry the torso, and the pelvis of a standing robot backs off as they bend it (left out, the hands seem to fall
+short after every bend, and it bends until it is doubled up). The arm pass moves the arms alone on the torso as it is
+measured now, so the hands are right while the torso is still on its way. It solves for where the arms shall be; the
+command is that and what the PD servos of the arms sag under gravity, so no error has to build up first, and a squeeze
+gains no force with time. Bounds and rates are limits inside the problems: an unreachable target stretches the robot
+and stops.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -15,7 +18,9 @@ import mujoco
 import numpy as np
 import placo
 
+from gym_demohlm import poses
 from gym_demohlm.control import command, reference
+from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.urdf import urdf
@@ -26,6 +31,7 @@ _HEAD = "head_camera"
 _ROOT, _TORSO = "heading", "torso_link"
 # From the floor up; each name is a joint of the torso pass and an entry of the command.
 _TORSO_AXES = (("torso_height", "0 0 1"), ("torso_yaw", "0 0 1"), ("torso_pitch", "0 1 0"), ("torso_roll", "1 0 0"))
+_PITCH = [name for name, _ in _TORSO_AXES].index("torso_pitch")
 _TORSO_COLUMNS = [command.NAMES.index(f"{name}.pos") for name, _ in _TORSO_AXES]
 _ARM_COLUMNS = [*range(command.SIZE)[command.ARMS]]
 _IS_ELBOW = np.array([name.endswith("elbow.pos") for name in command.NAMES])
@@ -133,15 +139,37 @@ class _Pass:
         upper: np.ndarray,
         targets: list[np.ndarray | None],
         p_world_head: np.ndarray | None = None,
+        advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None = None,
     ) -> np.ndarray:
-        """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there."""
+        """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there.
+
+        Args:
+            T_world_base: Pose of the base, (4, 4).
+            start: The joints.
+            lower: Their bounds.
+            upper: Likewise.
+            targets: Of the palms.
+            p_world_head: Target position of the head [m].
+            advance: Joints -> how far the base is then ahead of `T_world_base` along its x [m], and its derivative (n,).
+        """
         q = start.copy()
-        self.move(T_world_base, q)
+        base = self._place(T_world_base, q, advance)
         for _ in range(self.settings.iterations):
-            step = self._step(q, lower, upper, targets, p_world_head)
-            q = np.clip(q + step, lower, upper)
-            self.move(T_world_base, q)
+            q = np.clip(q + self._step(q, lower, upper, targets, p_world_head, base), lower, upper)
+            base = self._place(T_world_base, q, advance)
         return q
+
+    def _place(
+        self, T_world_base: np.ndarray, q: np.ndarray, advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None
+    ) -> np.ndarray:
+        """Put the robot where its base advances to; return how the base moves with the joints, (3, n)."""
+        if advance is None:
+            self.move(T_world_base, q)
+            return np.zeros((3, len(q)))
+        T, (distance, slope) = T_world_base.copy(), advance(q)
+        T[:3, 3] += distance * T[:3, 0]
+        self.move(T, q)
+        return np.outer(T[:3, 0], slope)
 
     def move(self, T_world_base: np.ndarray, q: np.ndarray) -> None:
         """Put the robot's base and joints where given."""
@@ -171,8 +199,9 @@ class _Pass:
         upper: np.ndarray,
         targets: list[np.ndarray | None],
         p_world_head: np.ndarray | None,
+        base: np.ndarray,
     ) -> np.ndarray:
-        """Solve one linearised problem for the change of the joints."""
+        """Solve one linearised problem for the change of the joints, with which the base moves by `base` (3, n)."""
         errors = self.errors(targets) * self.hand_scale
         # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
         damping = self.settings.regularization + self.settings.error_damping * (errors**2).sum()
@@ -181,11 +210,12 @@ class _Pass:
         for error, palm, target in zip(errors, _PALMS, targets, strict=True):
             if target is not None:
                 jacobian = self.robot.frame_jacobian(palm, "local_world_aligned")[:, self.v_columns]
+                jacobian[:3] += base
                 rows.append(self.hand_scale[:, None] * jacobian)
                 values.append(error)
         if p_world_head is not None:
             scale = np.sqrt(self.settings.head_weight)
-            jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns]
+            jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns] + base
             rows.append(scale * jacobian)
             values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
         problem, residual = placo.Problem(), placo.Expression()
@@ -211,6 +241,7 @@ class WholeBodyIK:
         """
         self.settings = settings or IKSettings()
         self._model, self._data = model, mujoco.MjData(model)
+        self._reference = Weights().make_reference()
         qpos_address = {name: int(model.joint(_joint(name)).qposadr[0]) for name in g1.BODY_JOINTS}
         self._qpos = np.array([qpos_address[name] for name in g1.BODY_JOINTS])
         self._pelvis, self._torso = model.body("pelvis").id, model.body(_TORSO).id
@@ -284,11 +315,24 @@ class WholeBodyIK:
 
         columns = _TORSO_COLUMNS + _ARM_COLUMNS
         bent = np.minimum(upper, np.where(_IS_ELBOW, np.maximum(self.settings.straightest_elbow, lower), np.inf))
+        T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions, T_world_pelvis)
+        here, _, _ = self._reference.pelvis_ahead(T_world_pelvis[2, 3], float(poses.rpy(T_world_torso[:3, :3])[1]))
+
+        def advance(q: np.ndarray) -> tuple[float, np.ndarray]:
+            slope = np.zeros(len(q))
+            there, slope[0], slope[_PITCH] = self._reference.pelvis_ahead(q[0], q[_PITCH])
+            return there - here, slope
+
         planned = self._torso_pass.solve(
-            T_world_heading, np.minimum(previous, bent)[columns], lower[columns], bent[columns], targets, head
+            T_world_heading,
+            np.minimum(previous, bent)[columns],
+            lower[columns],
+            bent[columns],
+            targets,
+            head,
+            None if walking else advance,
         )
         planned_errors = self._torso_pass.errors(targets)
-        T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions, T_world_pelvis)
         if head is not None or any(target is not None for target in targets):
             solution[_TORSO_COLUMNS] = planned[: len(_TORSO_COLUMNS)]
         sag = self._sag()

@@ -141,6 +141,15 @@ def pelvis_pitch(lean: np.ndarray) -> np.ndarray:
     return lean - np.clip(0.6 * lean, *_WAIST_LEAN)
 
 
+def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
+    """Return which interval of an even axis a value is in, where in it in [0, 1], and intervals a unit (0 outside)."""
+    first, a_unit = float(axis[0]), (len(axis) - 1) / float(axis[-1] - axis[0])
+    place = (value - first) * a_unit
+    index = min(max(int(place), 0), len(axis) - 2)
+    inside = 0.0 <= place <= len(axis) - 1
+    return index, min(max(place - index, 0.0), 1.0), a_unit if inside else 0.0
+
+
 def pelvis_bank(lean: np.ndarray) -> np.ndarray:
     """Return the pelvis roll [rad] of a sideways lean: what the waist's comfortable range leaves."""
     return np.clip(lean - np.clip(lean, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
@@ -208,6 +217,8 @@ class Reference:
         self.shift_table = np.array(shift_table, dtype=np.float64)
         self.sag_table = np.array(sag_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
+        # Lists: a few numbers at a time are sooner found in them.
+        self._ahead = (g1.HIP_DROP * np.sin(pelvis_pitch(TABLE_PITCHES)) - self.shift_table).tolist()
         self._table = np.concatenate([self.shift_table[..., None], self.sag_table], axis=2)
 
     def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,6 +236,21 @@ class Reference:
             (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         )
         return found[:, 0], found[:, 1:]
+
+    def pelvis_ahead(self, height: float, pitch: float) -> tuple[float, float, float]:
+        """Return how far ahead of its ankles the pelvis of a standing robot is: it backs off as the torso bends.
+
+        Args:
+            height: [m].
+            pitch: [rad].
+
+        Returns:
+            The distance [m], and its derivatives by height [m/m] and by pitch [m/rad].
+        """
+        (i, u, rows), (j, v, columns) = _cell(height, TABLE_HEIGHTS), _cell(pitch, TABLE_PITCHES)
+        (a, b), (c, d) = self._ahead[i][j : j + 2], self._ahead[i + 1][j : j + 2]
+        low, high = a + v * (b - a), c + v * (d - c)
+        return low + u * (high - low), (high - low) * rows, ((b - a) + u * (d - c - b + a)) * columns
 
     def arms_moment(self, command: np.ndarray, arms: np.ndarray) -> np.ndarray:
         """Return the moment [kg m] that the arms add to what they have at home, seen along the torso's yaw.
