@@ -64,7 +64,8 @@ class IKSettings:
         arm_posture_weight: The same in the arm pass; it chooses the elbow's height.
         regularization: Damping of each step.
         error_damping: More of it, times the hands' weighted squared error.
-        iterations: Linearisations a pass.
+        iterations: Linearisations a pass, at most.
+        converged: A change of all joints by less than this [rad, m] is the last one.
     """
 
     height_rate: float = 0.3
@@ -86,6 +87,7 @@ class IKSettings:
     regularization: float = 2e-3
     error_damping: float = 1.5
     iterations: int = 2
+    converged: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +157,11 @@ class _Pass:
         q = start.copy()
         base = self._place(T_world_base, q, advance)
         for _ in range(self.settings.iterations):
-            q = np.clip(q + self._step(q, lower, upper, targets, p_world_head, base), lower, upper)
+            change = self._step(q, lower, upper, targets, p_world_head, base)
+            q = np.clip(q + change, lower, upper)
             base = self._place(T_world_base, q, advance)
+            if np.abs(change).max() < self.settings.converged:
+                break
         return q
 
     def _place(

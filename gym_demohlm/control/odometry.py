@@ -25,7 +25,7 @@ def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
 
 
 _LINKS, _SOLE = _chain()
-_UP = np.array([0.0, 0.0, 1.0])
+_POINTS = np.stack([_SOLE, _SOLE, _SOLE + [0.0, 0.0, 1.0]])[:, None]  # (3, 1, 3): soles now, later, and 1 m above
 _MIRROR_Y = np.array([1.0, -1.0])
 
 
@@ -37,20 +37,25 @@ def _turn(axis: str, cos: np.ndarray, sin: np.ndarray, x: np.ndarray, y: np.ndar
     return cos * x - sin * y, sin * x + cos * y, z
 
 
-def sole_points(legs: np.ndarray, offset: np.ndarray | None = None) -> np.ndarray:
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return a x b, (..., 3); NumPy's own takes longer for small arrays."""
+    (ax, ay, az), (bx, by, bz) = (np.moveaxis(v, -1, 0) for v in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def sole_points(legs: np.ndarray, offset: np.ndarray = _SOLE) -> np.ndarray:
     """Return a point of each sole in the pelvis frame.
 
     Args:
         legs: (..., 12) positions of ``g1.LEG_JOINTS`` [rad].
-        offset: (3,) the point in the ankle-roll frame [m]; the sole's middle by default.
+        offset: (3,) or (..., 3) the point in the ankle-roll frame [m]; the sole's middle by default.
 
     Returns:
         (..., 2, 3) left and right [m].
     """
-    offset = _SOLE if offset is None else offset
     joints = np.ascontiguousarray(legs).reshape(*legs.shape[:-1], 2, len(_LINKS))
     cos, sin = np.cos(joints), np.sin(joints)  # of all at once: a strided part may round otherwise
-    x, y, z = (np.broadcast_to(value, joints.shape[:-1]) for value in offset)
+    x, y, z = (offset[..., axis, None] for axis in range(3))
     for index in range(len(_LINKS) - 1, -1, -1):
         axis, position, pitch = _LINKS[index]
         x, y, z = _turn(axis, cos[..., index], sin[..., index], x, y, z)
@@ -74,14 +79,13 @@ def estimate(
     Returns:
         Horizontal velocity in the heading frame (N, 2) [m/s], and the tilt of the planted sole (N,) [rad].
     """
-    both = sole_points(np.stack([legs, legs + _EPSILON * leg_rates]))  # (2, N, 2, 3)
-    soles = both[0]
-    normals = sole_points(legs, _SOLE + _UP) - soles
-    moving = (both[1] - soles) / _EPSILON + np.cross(gyro[:, None], soles)
+    soles, later, above = sole_points(np.stack([legs, legs + _EPSILON * leg_rates, legs]), _POINTS)  # (N, 2, 3) each
+    normals = above - soles
+    moving = (later - soles) / _EPSILON + _cross(gyro[:, None], soles)
     up = -down
     forward = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
-    heading = np.stack([forward, np.cross(up, forward)], axis=1)  # (N, 2, 3): rows are heading axes in the pelvis frame
+    heading = np.stack([forward, _cross(up, forward)], axis=1)  # (N, 2, 3): rows are heading axes in the pelvis frame
     height = (soles * up[:, None]).sum(axis=2)
     left = np.clip(0.5 + (height[:, 1] - height[:, 0]) / _HEIGHT_BLEND, 0.0, 1.0)
     weights = np.stack([left, 1 - left], axis=1)[..., None]  # (N, 2, 1)

@@ -123,7 +123,10 @@ def total(
     still = (m.velocity**2).sum(axis=1) + 0.1 * m.yaw_rate**2
     terms = {
         "velocity": 1.2 * np.exp(-velocity_error / 0.25) + 1.8 * np.exp(-velocity_error / 0.025),
-        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0) + 1.0 * np.exp(-yaw_error / 0.15) + 1.6 * np.exp(-yaw_error / 0.03),
+        "yaw_rate": 0.5 * np.exp(-yaw_error / 1.0)
+        + 1.0 * np.exp(-yaw_error / 0.15)
+        + 1.6 * np.exp(-yaw_error / 0.03)
+        - 1.0 * np.minimum(np.sqrt(yaw_error), 1.0),
         "drift": 0.8 * np.exp(-drift / 0.03) + 0.8 * np.exp(-drift / 0.004),
         "turn_drift": 0.6 * np.exp(-(mean_error[:, 2] ** 2) / 0.02),
         "height": 0.8 * np.exp(-height_error / 0.004) + 0.5 * np.exp(-height_error / 0.0004),
@@ -143,7 +146,7 @@ def total(
         "stance": -8.0 * np.maximum(0.20 - m.stance_width, 0)
         - 6.0 * stop * np.maximum(0.23 - m.stance_width, 0)
         - 3.0 * np.maximum(m.stance_width - 0.34, 0)
-        - 1.5 * stop * np.minimum(np.abs(m.stance_length), 0.3),
+        - 4.0 * stop * np.minimum(np.abs(m.stance_length), 0.3),
         "still": 0.4 * stand * np.exp(-still / 0.002),
         "action_rate": -0.03 * ((action - last_action) ** 2).sum(axis=1),
         "action_jerk": -0.01 * ((action - 2 * last_action + action_before) ** 2).sum(axis=1),

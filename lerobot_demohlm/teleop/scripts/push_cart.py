@@ -15,7 +15,7 @@ from gym_demohlm.tasks.push_cart import BAR_X, CART_POSITION
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-STANCE = 0.46  # m that the bar is ahead of the pelvis
+STANCE = 0.40  # m that the bar is ahead of the pelvis
 START: InitialState = {"robot": [CART_POSITION[0] + BAR_X - STANCE, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: the bar before its chest, the deck clear of its feet."""
 
