@@ -347,13 +347,13 @@ class Reference:
         _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
         ahead, aside = GRAVITY * moment.T  # Nm
         legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
+        own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
+        alone = np.minimum(np.minimum(own - GAIT.swing, 1 - own) / _BOTH_DOWN, 1.0)
+        bears = np.where(standing[:, None], 1.0, 2 * np.maximum(alone, 0.0))
         further = np.zeros((len(command), NUM_LOWER))
-        for side in (0, 1):
-            own = (phase + 0.5 * side) % 1.0
-            alone = np.clip((own - GAIT.swing) / _BOTH_DOWN, 0, 1) * np.clip((1 - own) / _BOTH_DOWN, 0, 1)
-            bears = np.where(standing, 1.0, 2 * alone)
-            further[:, [6 * side, 6 * side + 3, 6 * side + 4]] = bears[:, None] * legs
-            further[:, 6 * side + 1] = (1 - 2 * side) * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
+        sides = further[:, :12].reshape(-1, 2, 6)
+        sides[:, :, [0, 3, 4]] = bears[:, :, None] * legs[:, None]
+        sides[:, :, 1] = _SIDES * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
         further[:, 13] = (aside - TORSO_LOAD_UP * np.sin(roll)) / _WAIST_STIFFNESS
         load_ahead = TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)
         further[:, 14] = -(ahead + load_ahead) / _WAIST_STIFFNESS
