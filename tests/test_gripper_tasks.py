@@ -68,7 +68,7 @@ def test_the_posts_hold_the_bar_where_it_was_set() -> None:
     for load in (-60.0, 60.0):
         data.body("bar").xfrc_applied[2] = load  # more than two hands press with
         advance(scene, data, 1.0)
-        assert data.joint("bar_height").qpos[0] == pytest.approx(-0.1, abs=1e-3)
+        assert data.joint("bar_height").qpos[0] == pytest.approx(-0.1, abs=2e-3)
 
 
 def test_the_door_stays_shut_and_swings_on_its_hinge() -> None:

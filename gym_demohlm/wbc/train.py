@@ -154,6 +154,7 @@ def train(
         if progress["iteration"] % 50 == 0:
             _save(runner, env, output, progress)
     _save(runner, env, output, progress)
+    torch.set_flush_denormal(False)  # of this process, whatever it does next
 
 
 def _iterate(runner: OnPolicyRunner, env: MdpVecEnv) -> dict[str, float]:
