@@ -152,7 +152,7 @@ class _Pass:
             upper: Likewise.
             targets: Of the palms.
             p_world_head: Target position of the head [m].
-            advance: Joints -> how far the base is then ahead of `T_world_base` along its x [m], and its derivative (n,).
+            advance: Joints -> how far the base is then ahead of `T_world_base` along its x [m]; its derivative (n,).
         """
         q = start.copy()
         base = self._place(T_world_base, q, advance)

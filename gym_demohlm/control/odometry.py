@@ -25,7 +25,9 @@ def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
 
 
 _LINKS, _SOLE = _chain()
-_POINTS = np.stack([_SOLE, _SOLE, _SOLE + [0.0, 0.0, 1.0]])[:, None]  # (3, 1, 3): soles now, later, and 1 m above
+_POINTS = np.stack([_SOLE, _SOLE, _SOLE + np.array([0.0, 0.0, 1.0])])[
+    :, None
+]  # (3, 1, 3): soles now, later, and 1 m above
 _MIRROR_Y = np.array([1.0, -1.0])
 
 
