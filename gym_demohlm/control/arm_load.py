@@ -50,5 +50,5 @@ class ArmLoad:
 
     def _moment(self, arms: np.ndarray) -> np.ndarray:
         """Return the moment of both arms, (N, 2, 4) -> (N, 3); summed in an order that does not depend on N."""
-        of_each = (basis(arms * _MIRROR)[..., None] * self.table).sum(axis=-2)  # (N, 2, 3)
+        of_each = basis(arms * _MIRROR) @ self.table  # (N, 2, 3): one product a robot
         return (of_each * _SIDEWAYS).sum(axis=1)

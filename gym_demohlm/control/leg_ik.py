@@ -17,6 +17,7 @@ _AHEAD, _BELOW = 0.0246, 0.0262  # m: where the roll and yaw axes meet, seen fro
 _THIGH_FROM_THERE = np.hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
 _THIGH_ANGLE = np.arctan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
 _SIDES = np.array([1.0, -1.0])  # left, right
+_AXES = np.eye(3)[:, :, None, None]  # components of the unit vectors
 
 
 class Vectors(NamedTuple):
@@ -97,10 +98,8 @@ def solve(ankles: Vectors, sole_yaw: np.ndarray, tilt: np.ndarray, bank: np.ndar
         v = _about_z(_about_x(_about_y(v, thigh - _INCLINATION), -ankle_roll), sole_yaw)
         return _about_x(_about_y(v, -tilt), -bank)
 
-    third = in_pelvis(Vectors(zero, zero, zero + 1.0))
-    first = in_pelvis(Vectors(zero + 1.0, zero, zero))
-    second = in_pelvis(Vectors(zero, zero + 1.0, zero))
-    hip_pitch = np.arctan2(third.x, third.z) + _INCLINATION
-    hip_roll = np.arctan2(-third.y, np.hypot(third.x, third.z))
-    hip_yaw = np.arctan2(first.y, second.y)
+    axes = in_pelvis(Vectors(*_AXES))  # (3, N, 2) components: of the first, the second, the third axis
+    hip_pitch = np.arctan2(axes.x[2], axes.z[2]) + _INCLINATION
+    hip_roll = np.arctan2(-axes.y[2], np.hypot(axes.x[2], axes.z[2]))
+    hip_yaw = np.arctan2(axes.y[0], axes.y[1])
     return np.stack([hip_pitch, hip_roll, hip_yaw, knee, ankle_pitch, ankle_roll], axis=2)
