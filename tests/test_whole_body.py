@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gym_demohlm.control import arm_load, command, features, odometry, reference
-from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FORMAT, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc import quasi_static
@@ -117,11 +117,26 @@ def test_a_robot_that_loses_balance_takes_steps_and_then_rests() -> None:
     assert standing.all()
 
 
+def test_admissible_postures_keep_the_weight_over_the_soles_and_the_waist_within_its_range() -> None:
+    rng = np.random.default_rng(8)
+    box = rng.uniform([0.40, -0.4, -0.3, -1.0], [0.76, 0.4, 1.2, 1.0], (4000, 4))
+    goal = np.concatenate([np.zeros((len(box), 3)), box], axis=1)
+    rest = np.ones(len(box), dtype=bool)
+    found = reference.admissible(goal, goal, rest)
+    np.testing.assert_allclose(reference.admissible(found, found, rest), found, atol=1e-9)  # nothing is left to change
+    assert (found[:, [0, 1, 2, 3, 6]] == goal[:, [0, 1, 2, 3, 6]]).all()
+    assert np.abs(found - goal).mean(axis=0)[[4, 5]].max() < 0.01  # rad: few postures are out of reach
+    ahead, aside = reference.lean(*found[:, 4:7].T)
+    floor = reference.LEAN_BACK + reference.LEAN_BACK_SLOPE * (found[:, 3] - reference.LEAN_BACK_HEIGHT)
+    assert (ahead > floor - 0.05).all()
+    assert (np.sin(np.abs(aside)) < 0.85).all()
+
+
 def test_waist_turns_the_torso_to_its_commanded_attitude() -> None:
     rng = np.random.default_rng(6)
     roll, pitch, yaw = rng.uniform([[-0.3], [-0.25], [-0.8]], [[0.3], [0.8], [0.8]], (3, 200))
     forward, right = reference.lean(roll, pitch, yaw)
-    tilt, bank = reference.pelvis_pitch(forward), 0.2 * right
+    tilt, bank = reference.pelvis_attitude(forward, right, 0.4 * forward)
     waist_roll, waist_pitch = reference.waist_angles(roll, pitch, yaw, tilt, bank)
     inside = (np.abs(waist_roll) < 0.499) & (np.abs(waist_pitch) < 0.499)
     assert inside.mean() > 0.7
@@ -180,8 +195,8 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
 
 
 def test_reference_puts_the_soles_at_the_commanded_height() -> None:
-    table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES)))
-    pose = reference.Reference(table, np.zeros((*table.shape, 3)), np.zeros(arm_load.TABLE_SHAPE)).pose
+    table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 5))
+    pose = reference.Reference(table, np.zeros(arm_load.TABLE_SHAPE)).pose
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
@@ -223,7 +238,7 @@ def test_damaged_weights_are_a_clear_error(tmp_path: Path, content: bytes) -> No
 def test_weights_of_another_format_are_refused(tmp_path: Path) -> None:
     with np.load(DEFAULT_WEIGHTS) as arrays:
         loaded = dict(arrays)
-    text = loaded["metadata"].tobytes().replace(b'"format": 2', b'"format": 9')
+    text = loaded["metadata"].tobytes().replace(f'"format": {WEIGHTS_FORMAT}'.encode(), b'"format": 9')
     loaded["metadata"] = np.frombuffer(text, dtype=np.uint8)
     path = tmp_path / "weights.npz"
     np.savez(path, allow_pickle=False, **loaded)

@@ -47,9 +47,10 @@ SLEW = np.array([1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5])  # fastest change of the co
 WALK_HEIGHT = 0.60  # m: lowest while stepping
 WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
 WALK_YAW = 0.3  # rad: most turned while stepping
-# A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles:
-# it stays less than 6 cm behind their middle, arms at home, above this torso pitch [rad], linear in height [m].
-LEAN_BACK_HEIGHT, LEAN_BACK_PITCH, LEAN_BACK_SLOPE = 0.40, 0.03, -2.75
+# A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles: it
+# stays less than 3 cm behind their middle, arms at home, above this forward lean [rad], linear in height [m].
+LEAN_BACK_HEIGHT, LEAN_BACK, LEAN_BACK_SLOPE = 0.40, 0.03, -2.2
+LEAN_ASIDE = 0.70  # sine of the sideways lean that rolling a turned and bent torso may add up to: then the waist ends
 STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
 # A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
 STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
@@ -66,6 +67,7 @@ GRAVITY = 9.81  # m/s2
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
 _WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
+_WAIST_BEND = 0.48  # rad
 _LARGEST_BANK = 0.45  # rad: one hip closes by this much
 _WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
@@ -77,7 +79,7 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
     """Return what of a command can be followed now: first stand, then bend; first rise, then walk.
 
     A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright; one that
-    squats deeply does not lean back.
+    squats deeply does not lean back; one that bends to a side does not roll further down there.
 
     Args:
         goal: (N, 7 or more) command.
@@ -90,8 +92,12 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
     goal = goal[:, :7].copy()
     bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH[1] + 0.02)
     goal[bent, :3] = 0.0
-    lowest = LEAN_BACK_PITCH + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT)
-    goal[:, 5] = np.maximum(goal[:, 5], lowest)
+    # The torso's direction up, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1) / length.
+    lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT))
+    ahead, aside = np.cos(goal[:, 6]), np.sin(goal[:, 6])
+    goal[:, 5] = np.maximum(goal[:, 5], np.arctan((lowest - aside * np.tan(goal[:, 4])) / ahead))
+    further = np.arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(goal[:, 5])) / ahead, 0.0, 1.0))
+    goal[:, 4] = np.where(aside > 0, np.maximum(goal[:, 4], -further), np.minimum(goal[:, 4], further))
     steps = ~standing
     goal[:, 3] = np.where(steps, np.maximum(goal[:, 3], WALK_HEIGHT), goal[:, 3])
     goal[:, 4] = np.where(steps, 0.0, goal[:, 4])
@@ -136,9 +142,9 @@ def advance_clock(
     return np.where(stands, rest, moved), stopped, stands
 
 
-def pelvis_pitch(lean: np.ndarray) -> np.ndarray:
+def comfortable_pitch(lean: float) -> float:
     """Return the pelvis pitch [rad] of a forward lean: the waist takes 0.6 of it within its comfortable range."""
-    return lean - np.clip(0.6 * lean, *_WAIST_LEAN)
+    return lean - min(max(0.6 * lean, _WAIST_LEAN[0]), _WAIST_LEAN[1])
 
 
 def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
@@ -150,9 +156,21 @@ def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     return index, min(max(place - index, 0.0), 1.0), a_unit if inside else 0.0
 
 
-def pelvis_bank(lean: np.ndarray) -> np.ndarray:
-    """Return the pelvis roll [rad] of a sideways lean: what the waist's comfortable range leaves."""
-    return np.clip(lean - np.clip(lean, -_WAIST_ROLL, _WAIST_ROLL), -_LARGEST_BANK, _LARGEST_BANK)
+def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Share a lean between the pelvis and the waist, which bends by ``_WAIST_BEND`` at most in any direction.
+
+    Args:
+        ahead: (N,) forward lean of the torso [rad].
+        aside: (N,) its lean to the right.
+        tilt: (N,) the pitch that the pelvis should have.
+
+    Returns:
+        Pitch and roll of the pelvis (N,), (N,) [rad].
+    """
+    waist_ahead, waist_aside = ahead - tilt, np.clip(aside, -_WAIST_ROLL, _WAIST_ROLL)
+    share = np.minimum(_WAIST_BEND / np.maximum(np.hypot(waist_ahead, waist_aside), _WAIST_BEND), 1.0)
+    bank = np.clip(aside - share * waist_aside, -_LARGEST_BANK, _LARGEST_BANK)
+    return ahead - share * waist_ahead, bank
 
 
 def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,21 +226,20 @@ class Reference:
     """The targets of legs and waist: a pose, and how much further to aim because joints give under the robot's weight.
 
     Args:
-        shift_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far [m] the ankles stand ahead of the hips.
-        sag_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 3) how far hip pitch, knee and ankle pitch give [rad].
+        posture_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 5) how far [m] the ankles stand ahead of the hips, the
+            pitch of the pelvis [rad], and how far hip pitch, knee and ankle pitch give [rad].
         arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
     """
 
-    def __init__(self, shift_table: np.ndarray, sag_table: np.ndarray, arm_table: np.ndarray) -> None:
-        self.shift_table = np.array(shift_table, dtype=np.float64)
-        self.sag_table = np.array(sag_table, dtype=np.float64)
+    def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray) -> None:
+        self.posture_table = np.array(posture_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
+        shift, tilt = self.posture_table[..., 0], self.posture_table[..., 1]
         # Lists: a few numbers at a time are sooner found in them.
-        self._ahead = (g1.HIP_DROP * np.sin(pelvis_pitch(TABLE_PITCHES)) - self.shift_table).tolist()
-        self._table = np.concatenate([self.shift_table[..., None], self.sag_table], axis=2)
+        self._ahead = (g1.HIP_DROP * np.sin(tilt) - shift).tolist()
 
-    def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interpolate the tables: heights, forward leans (N,) -> ankle shift (N,) [m], sag of a leg (N, 3) [rad]."""
+    def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Interpolate the table: heights, forward leans (N,) -> ankle shift, pelvis pitch (N,), sag of a leg (N, 3)."""
         row = np.clip(
             (height - TABLE_HEIGHTS[0]) / (TABLE_HEIGHTS[1] - TABLE_HEIGHTS[0]), 0, len(TABLE_HEIGHTS) - 1.001
         )
@@ -231,11 +248,11 @@ class Reference:
         )
         i, j = row.astype(int), column.astype(int)
         u, v = row - i, column - j
-        u, v, table = u[:, None], v[:, None], self._table
+        u, v, table = u[:, None], v[:, None], self.posture_table
         found = (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
             (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         )
-        return found[:, 0], found[:, 1:]
+        return found[:, 0], found[:, 1], found[:, 2:]
 
     def pelvis_ahead(self, height: float, pitch: float) -> tuple[float, float, float]:
         """Return how far ahead of its ankles the pelvis of a standing robot is: it backs off as the torso bends.
@@ -300,9 +317,8 @@ class Reference:
         # Columns in one piece: NumPy may round a sine of a strided part otherwise.
         vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
         forward, right = lean(roll, pitch, yaw)
-        tilt = pelvis_pitch(forward)
-        bank = pelvis_bank(right)
-        shift, _ = self.statics(height, forward)
+        shift, tilt, _ = self.statics(height, forward)
+        tilt, bank = pelvis_attitude(forward, right, tilt)
         offset = moment / g1.MASS
         shift = shift + np.cos(yaw) * offset[:, 0] - np.sin(yaw) * offset[:, 1]
         aside = np.sin(yaw) * offset[:, 0] + np.cos(yaw) * offset[:, 1] - LATERAL_SHIFT * np.sin(right)
@@ -344,7 +360,7 @@ class Reference:
             (N, 15) [rad]. Of the weight a leg bears half while standing, all of it while the other swings.
         """
         height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
-        _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
+        _, _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
         ahead, aside = GRAVITY * moment.T  # Nm
         legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right

@@ -17,7 +17,7 @@ from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
-WEIGHTS_FORMAT = 2
+WEIGHTS_FORMAT = 3
 _BLOCK = 16
 _ONE_THREAD_PRODUCT = 262144  # multiplications
 _HISTORY = features.HISTORY * features.FRAME_SIZE
@@ -29,7 +29,7 @@ _LEGS = len(g1.LEG_JOINTS)
 
 
 class Weights:
-    """The exported policy: layers, normaliser, quasi-static table and metadata.
+    """The exported policy: layers, normaliser, quasi-static tables and metadata.
 
     Args:
         path: An ``.npz`` written by ``gym_demohlm.wbc.export``. Nothing in it is executed or unpickled.
@@ -51,7 +51,7 @@ class Weights:
             layers = int(self.metadata["layers"])
             self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
             self.mean, self.scale = loaded["mean"], loaded["scale"]
-            self._tables = loaded["shift_table"], loaded["sag_table"], loaded["arm_table"]
+            self._tables = loaded["posture_table"], loaded["arm_table"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
                 f"controller weights {path.name} that cannot be read ({error})",

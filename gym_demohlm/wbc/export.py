@@ -12,7 +12,7 @@ from rsl_rl.modules import EmpiricalNormalization
 from gym_demohlm.control import features, reference
 from gym_demohlm.robot import g1
 
-FORMAT = 2
+FORMAT = 3
 
 
 def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts: dict[str, Any]) -> None:
@@ -25,8 +25,7 @@ def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts
         facts: How it was trained, kept in the metadata.
     """
     arrays: dict[str, np.ndarray] = {
-        "shift_table": pose.shift_table,
-        "sag_table": pose.sag_table,
+        "posture_table": pose.posture_table,
         "arm_table": pose.arm_load.table,
     }
     normaliser = cast(EmpiricalNormalization, actor.obs_normalizer)

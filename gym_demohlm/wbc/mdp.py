@@ -145,7 +145,8 @@ class WholeBodyMdp:
         moment = self.reference.arms_moment(command, self.commands.arms[worlds])
         at_rest = np.ones(count, dtype=bool), np.zeros((count, 2))
         targets = self.reference.pose(command, self.phase[worlds], *at_rest, moment)
-        tilt = reference.pelvis_pitch(reference.lean(command[:, 4], command[:, 5], command[:, 6])[0])
+        lean, _ = reference.lean(command[:, 4], command[:, 5], command[:, 6])
+        _, tilt, _ = self.reference.statics(command[:, 3], lean)
         qpos = np.zeros((count, 7 + _JOINTS))
         qpos[:, 2] = command[:, 3] + 0.01
         qpos[:, 3], qpos[:, 5] = np.cos(tilt / 2), np.sin(tilt / 2)

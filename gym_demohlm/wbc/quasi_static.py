@@ -9,6 +9,9 @@ from gym_demohlm.robot import g1
 SOLE_CENTRE = 0.03  # m ahead of the ankle: where the centre of mass should be; the sole reaches from -0.05 to 0.12
 _SOLE_ENDS = (-0.04, 0.11)  # m ahead of the ankle: where the floor can push
 _ANKLE_LIMIT = 0.84  # rad: the shank may lean this far forward
+_WAIST_BACK, _TILT_STEP = 0.45, 0.025  # rad: how far the waist bends back, and how finely that is tried
+_BEHIND = 0.005  # m: so little is not behind
+_SHIFTS = np.linspace(-0.2, 0.25, 91)  # m
 _PITCH_JOINTS = ("hip_pitch", "knee", "ankle_pitch")
 
 
@@ -20,9 +23,9 @@ class _Figure:
         self.data = mujoco.MjData(self.model)
         self.address = [self.model.joint(f"{joint}_joint").qposadr[0] for joint in g1.BODY_JOINTS]
 
-    def pose(self, height: float, pitch: float, leg: tuple[float, float, float]) -> float:
-        """Take a posture [m, rad]; returns the centre of mass ahead of the pelvis [m]."""
-        data, tilt = self.data, float(reference.pelvis_pitch(np.array(pitch)))
+    def pose(self, height: float, pitch: float, tilt: float, leg: tuple[float, float, float]) -> float:
+        """Take a posture (pelvis height, pitch of torso and pelvis); returns how far ahead the centre of mass is [m]."""
+        data = self.data
         hip, knee, ankle = leg
         joints = [hip, 0, 0, knee, ankle, 0]
         data.qpos[:] = 0
@@ -52,35 +55,43 @@ class _Figure:
         )
 
 
-def tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what ``Reference`` takes: ankle shift [m] and sag [rad] for each height and torso pitch, arms at home.
+def tables() -> tuple[np.ndarray, np.ndarray]:
+    """Return what ``Reference`` takes: a posture for each height and torso pitch, arms at home, and the arms' weight.
 
-    For each posture the shift with the centre of mass nearest the middle of the sole is taken, among those within the
-    ankle's range of motion (or, where there is none, the one that exceeds it least). The sag is the torque that holds
-    the posture over the joint's stiffness: hip pitch, knee, ankle pitch of each leg, weight on both.
+    For each pelvis pitch, the ankle shift with the centre of mass nearest the middle of the sole is taken, among those
+    within the ankle's range of motion (or, where there is none, the one that exceeds it least). The pelvis pitch is the
+    comfortable one, or, where the centre of mass then stays behind, so much more that it does not, as far as the waist
+    can bend back: that brings the upper body forward over the hips. The sag is the torque that holds the posture over
+    the joint's stiffness: hip pitch, knee, ankle pitch of each leg, weight on both.
 
     Returns:
-        (heights, pitches), (heights, pitches, 3) and, for the arms, ``arm_table``.
+        (heights, pitches, 5) and, for the arms, ``arm_table``.
     """
     figure = _Figure()
-    shifts = np.linspace(-0.2, 0.25, 91)
-    shape = (len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES))
-    shift_table, sag_table = np.zeros(shape), np.zeros((*shape, len(_PITCH_JOINTS)))
+    table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 2 + len(_PITCH_JOINTS)))
     for i, height in enumerate(reference.TABLE_HEIGHTS):
         for j, pitch in enumerate(reference.TABLE_PITCHES):
-            tilt = float(reference.pelvis_pitch(np.array(pitch)))
-            down = np.full(len(shifts), height - g1.HIP_DROP * np.cos(tilt) - g1.SOLE_DROP)
-            legs = np.stack(leg_ik.planar(shifts, down), axis=1) - np.array([tilt, 0.0, 0.0])
-            behind = g1.HIP_DROP * np.sin(tilt)  # the hips lie behind the pelvis origin when it pitches forward
-            costs = [
-                abs(figure.pose(height, pitch, leg) - (shift - behind + SOLE_CENTRE))
-                + 10 * max(-leg[2] - _ANKLE_LIMIT, 0.0)
-                for shift, leg in zip(shifts, legs, strict=True)
-            ]
-            best = int(np.argmin(costs))
-            figure.pose(height, pitch, legs[best])
-            shift_table[i, j], sag_table[i, j] = shifts[best], figure.sag()
-    return shift_table, sag_table, arm_table()
+            comfortable = reference.comfortable_pitch(pitch)
+            furthest = max(comfortable, pitch + _WAIST_BACK)
+            for tilt in np.arange(comfortable, furthest + 1e-9, _TILT_STEP):
+                shift, leg, ahead = _best_stance(figure, height, pitch, tilt)
+                if ahead > -_BEHIND:
+                    break
+            figure.pose(height, pitch, tilt, leg)
+            table[i, j] = [shift, tilt, *figure.sag()]
+    return table, arm_table()
+
+
+def _best_stance(
+    figure: _Figure, height: float, pitch: float, tilt: float
+) -> tuple[float, tuple[float, float, float], float]:
+    """Return the ankle shift [m], the leg's joints [rad], and how far ahead of the soles' middle the weight is [m]."""
+    down = np.full(len(_SHIFTS), height - g1.HIP_DROP * np.cos(tilt) - g1.SOLE_DROP)
+    legs = np.stack(leg_ik.planar(_SHIFTS, down), axis=1) - np.array([tilt, 0.0, 0.0])
+    behind = g1.HIP_DROP * np.sin(tilt)  # the hips lie behind the pelvis origin when it pitches forward
+    ahead = np.array([figure.pose(height, pitch, tilt, leg) for leg in legs]) - (_SHIFTS - behind + SOLE_CENTRE)
+    best = int(np.argmin(np.abs(ahead) + 10 * np.maximum(-legs[:, 2] - _ANKLE_LIMIT, 0.0)))
+    return float(_SHIFTS[best]), legs[best], float(ahead[best])
 
 
 def arm_table() -> np.ndarray:
@@ -92,7 +103,7 @@ def arm_table() -> np.ndarray:
     address = figure.address[first : first + arm_load.NUM_JOINTS]
     shoulder = model.body("left_shoulder_pitch_link").id
     moments = np.zeros((len(joints), 3))
-    figure.pose(g1.PELVIS_HEIGHT, 0.0, (0.0, 0.0, 0.0))
+    figure.pose(g1.PELVIS_HEIGHT, 0.0, 0.0, (0.0, 0.0, 0.0))
     for row, angles in enumerate(joints):
         data.qpos[address] = angles
         mujoco.mj_forward(model, data)
@@ -104,7 +115,7 @@ def arm_table() -> np.ndarray:
 def torso_load() -> tuple[float, float]:
     """Return weight times lever [Nm] of what the waist carries, arms at home: upwards and ahead of the waist."""
     figure = _Figure()
-    figure.pose(g1.PELVIS_HEIGHT, 0.0, (0.0, 0.0, 0.0))
+    figure.pose(g1.PELVIS_HEIGHT, 0.0, 0.0, (0.0, 0.0, 0.0))
     torso = figure.data.body("torso_link")
     weight = float(figure.model.body_subtreemass[torso.id] * -figure.model.opt.gravity[2])
     lever = figure.data.subtree_com[torso.id] - torso.xpos

@@ -132,10 +132,10 @@ def total(
         "height": 0.8 * np.exp(-height_error / 0.004) + 0.5 * np.exp(-height_error / 0.0004),
         "tilt": 0.8 * np.exp(-(pitch_error + roll_error) / 0.1),
         "pitch": 1.0 * np.exp(-pitch_error / 0.02) + 0.6 * np.exp(-pitch_error / 0.002),
-        "roll": 0.8 * np.exp(-roll_error / 0.01) + 0.5 * np.exp(-roll_error / 0.0006),
+        "roll": 0.8 * np.exp(-roll_error / 0.01) + 0.8 * np.exp(-roll_error / 0.0006),
         # Far off, the terms above are flat; this one is not.
-        "far_off": -4.0 * np.minimum(np.abs(m.torso_pitch - command[:, 5]), 1.0)
-        - 3.0 * np.minimum(np.abs(m.torso_roll - command[:, 4]), 1.0)
+        "far_off": -5.0 * np.minimum(np.abs(m.torso_pitch - command[:, 5]), 1.0)
+        - 6.0 * np.minimum(np.abs(m.torso_roll - command[:, 4]), 1.0)
         - 6.0 * np.abs(m.height - command[:, 3]),
         "waist_yaw": 0.3 * np.exp(-waist_error / 0.02) + 0.4 * stand * np.exp(-waist_error / 0.0005),
         "schedule": 0.8 * ((contact != swing).sum(axis=1) - 2.0),
