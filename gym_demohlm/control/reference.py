@@ -92,7 +92,7 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
     goal = goal[:, :7].copy()
     bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH[1] + 0.02)
     goal[bent, :3] = 0.0
-    # The torso's direction up, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1) / length.
+    # Up, for the torso, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1), about.
     lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT))
     ahead, aside = np.cos(goal[:, 6]), np.sin(goal[:, 6])
     goal[:, 5] = np.maximum(goal[:, 5], np.arctan((lowest - aside * np.tan(goal[:, 4])) / ahead))

@@ -24,7 +24,7 @@ class _Figure:
         self.address = [self.model.joint(f"{joint}_joint").qposadr[0] for joint in g1.BODY_JOINTS]
 
     def pose(self, height: float, pitch: float, tilt: float, leg: tuple[float, float, float]) -> float:
-        """Take a posture (pelvis height, pitch of torso and pelvis); returns how far ahead the centre of mass is [m]."""
+        """Take a posture: height, pitch of torso and pelvis; returns the centre of mass ahead of the pelvis [m]."""
         data = self.data
         hip, knee, ankle = leg
         joints = [hip, 0, 0, knee, ankle, 0]
@@ -71,12 +71,11 @@ def tables() -> tuple[np.ndarray, np.ndarray]:
     table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 2 + len(_PITCH_JOINTS)))
     for i, height in enumerate(reference.TABLE_HEIGHTS):
         for j, pitch in enumerate(reference.TABLE_PITCHES):
-            comfortable = reference.comfortable_pitch(pitch)
-            furthest = max(comfortable, pitch + _WAIST_BACK)
-            for tilt in np.arange(comfortable, furthest + 1e-9, _TILT_STEP):
+            tilt = reference.comfortable_pitch(pitch)
+            shift, leg, ahead = _best_stance(figure, height, pitch, tilt)
+            while ahead < -_BEHIND and tilt + _TILT_STEP < pitch + _WAIST_BACK + 1e-9:
+                tilt += _TILT_STEP
                 shift, leg, ahead = _best_stance(figure, height, pitch, tilt)
-                if ahead > -_BEHIND:
-                    break
             figure.pose(height, pitch, tilt, leg)
             table[i, j] = [shift, tilt, *figure.sag()]
     return table, arm_table()
