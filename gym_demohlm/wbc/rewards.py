@@ -138,6 +138,8 @@ def total(
         - 6.0 * np.minimum(np.abs(m.torso_roll - command[:, 4]), 1.0)
         - 6.0 * np.abs(m.height - command[:, 3]),
         "waist_yaw": 0.3 * np.exp(-waist_error / 0.02) + 0.4 * stand * np.exp(-waist_error / 0.0005),
+        # Steps that nothing but a loss of balance calls for.
+        "restless": -1.5 * stop * (1 - stand),
         "schedule": 0.8 * ((contact != swing).sum(axis=1) - 2.0),
         "swing_height": 0.6 * np.exp(-((m.sole_height - swing_height) ** 2).sum(axis=1) / 0.002),
         "sole_tilt": -0.6 * np.minimum(m.sole_tilt, 1.0),
