@@ -70,6 +70,27 @@ class Region:
         x, y, yaw, dy, dz, dyaw = (float(rng.uniform(*getattr(self, entry.name))) for entry in fields(self)[1:])
         return {"robot": [x, y, yaw], "object": [dy, dz, dyaw]}
 
+    def widened(self, factor: float) -> "Region":
+        """Return the region with wider ranges of the robot's pose; x away from the objects only, whose ranges stay.
+
+        Args:
+            factor: Of the ranges' lengths; 1 gives the same region.
+        """
+        if factor == 1.0:
+            return self
+
+        def both_ways(range_: Range) -> Range:
+            middle, half = (range_[0] + range_[1]) / 2.0, factor * (range_[1] - range_[0]) / 2.0
+            return middle - half, middle + half
+
+        nearest = self.robot_x[1]
+        return replace(
+            self,
+            robot_x=(nearest - factor * (nearest - self.robot_x[0]), nearest),
+            robot_y=both_ways(self.robot_y),
+            robot_yaw=both_ways(self.robot_yaw),
+        )
+
 
 def _region(name: str, xs: Range, y: float, yaw: float, dy: float, dz: float, dyaw: float) -> Region:
     return Region(

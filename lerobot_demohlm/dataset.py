@@ -19,14 +19,16 @@ Only successful episodes are frames of the dataset; every attempt, failed ones i
 ``meta/demohlm_attempts.jsonl``. With ``facts.keep_failures`` failed attempts that have frames become a second dataset,
 ``<root>-failures``. The rows of ``meta/episodes`` say of each episode which attempt it was, how and in which stage it
 ended (``Episode.labels``), so LeRobot reads and filters them:
-``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``.
+``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``. With ``facts.command_noise`` they also
+hold the commands as executed, (T, 23) float32; the actions of the frames are those that were planned.
 """
 
 import importlib.metadata
 import json
+import math
 import platform
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -83,7 +85,7 @@ class Episode:
     environment_state: np.ndarray
     """(T, 9k) float32, tracked objects in the camera frame, before each action."""
     action: np.ndarray
-    """(T, 23) float32, ``command.NAMES``."""
+    """(T, 23) float32, ``command.NAMES``: what was planned, and executed where ``executed`` says no other."""
     success: np.ndarray
     """(T,) bool, whether the task's condition held after each action."""
     initial_state: dict[str, list[float]]
@@ -100,6 +102,13 @@ class Episode:
     """SHA-256 of the same, in hexadecimal."""
     retries: int = 0
     """How often it began again after a stage that failed."""
+    executed: np.ndarray | None = None
+    """(T, 23) float32, the actions with the noise that they carried when they were executed; None without noise."""
+
+    @property
+    def commands(self) -> np.ndarray:
+        """(T, 23) float32, what was executed."""
+        return self.action if self.executed is None else self.executed
 
     def __post_init__(self) -> None:
         """Check shapes, types and values, so that nothing invalid travels."""
@@ -110,6 +119,7 @@ class Episode:
             "state": (len(self.success), len(observation.STATE_NAMES)),
             "environment_state": (len(self.success), width),
             "action": (len(self.success), command.SIZE),
+            "commands": (len(self.success), command.SIZE),
         }
         for name, shape in expected.items():
             array = getattr(self, name)
@@ -145,12 +155,29 @@ class Episode:
 
     def labels(self) -> dict[str, Any]:
         """Return what the episode's row of ``meta/episodes`` says beside what LeRobot writes there."""
+        executed = {} if self.executed is None else {"executed": self.executed.tobytes()}
         return {
             "attempt": self.index,
             "outcome": self.outcome,
             "stage": self.stage,
             "fingerprints": self.fingerprints.tobytes(),
+            **executed,
         }
+
+
+def executed_of(labels: Mapping[str, Any], frames: int) -> np.ndarray | None:
+    """Return the executed commands (T, 23) that ``Episode.labels`` wrote; None where they are the actions.
+
+    Raises:
+        DatasetError: They are not one a frame.
+    """
+    content = labels.get("executed")
+    if content is None:
+        return None
+    if not isinstance(content, bytes) or len(content) != 4 * command.SIZE * frames:
+        got, expected = "executed commands of another length than the episode", f"{frames} times {command.SIZE} float32"
+        raise DatasetError(got, expected, "restore the dataset, or generate it again")
+    return np.frombuffer(content, dtype="<f4").reshape(frames, command.SIZE)
 
 
 def installed_versions() -> dict[str, str]:
@@ -179,17 +206,27 @@ class GenerationFacts:
     keep_failures: bool = False
     retries: int = 0
     """How often an attempt may begin again after a stage that failed (``generation.stages.Settings``)."""
+    command_noise: float = 0.0
+    """Scale of the noise that commands carry when they are executed, recorded without it (likewise)."""
+    start_spread: float = 1.0
+    """Factor by which the region's ranges of the robot's pose are widened (likewise)."""
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
     def __post_init__(self) -> None:
-        """Check the target and the block size."""
+        """Check the target, the block size and how the data is varied."""
         targets = [target for target in (self.num_episodes, self.num_attempts) if target is not None]
         if len(targets) != 1 or targets[0] < 1 or self.block_size < 1:
             raise DatasetError(
                 f"num_episodes={self.num_episodes}, num_attempts={self.num_attempts}, block_size={self.block_size}",
                 "one of the two targets, at least 1, and blocks of at least 1",
                 "give --num-episodes or --num-attempts",
+            )
+        if not (0.0 <= self.command_noise < math.inf and 1.0 <= self.start_spread < math.inf):
+            raise DatasetError(
+                f"command_noise={self.command_noise}, start_spread={self.start_spread}",
+                "noise of 0 or more, and a spread of 1 or more",
+                "correct --command-noise or --start-spread",
             )
 
 

@@ -18,7 +18,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm import fingerprint
-from lerobot_demohlm.dataset import FPS, Episode, GenerationFacts
+from lerobot_demohlm.dataset import FPS, Episode, GenerationFacts, executed_of
 from lerobot_demohlm.dataset_files import NEXT_SUCCESS, data_file, episodes_file, read_arrays, write_dataset
 
 _SHIFTED_STATS = ("min", "max", "mean", "q01", "q10", "q50", "q90", "q99")
@@ -26,7 +26,7 @@ _SHIFTED_STATS = ("min", "max", "mean", "q01", "q10", "q50", "q90", "q99")
 
 def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], facts: GenerationFacts) -> Path:
     """Write the first episodes of a dataset again, as many as there are records."""
-    trails = pq.read_table(source / episodes_file(0), columns=["fingerprints"]).column(0).to_pylist()
+    labels = pq.read_table(source / episodes_file(0)).to_pylist()
     episodes = [
         Episode(
             task=facts.task,
@@ -44,10 +44,11 @@ def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], 
             length_s=record["length_s"],
             reason=record["reason"],
             stage_ticks={stage: round(seconds * FPS) for stage, seconds in record["stage_s"].items()},
-            fingerprints=fingerprint.from_bytes(trail),
+            fingerprints=fingerprint.from_bytes(label["fingerprints"]),
             digest=record["digest"],
+            executed=executed_of(label, record["frames"]),
         )
-        for record, arrays, trail in zip(records, read_arrays(source), trails, strict=False)
+        for record, arrays, label in zip(records, read_arrays(source), labels, strict=False)
     ]
     write_dataset(root, "local/block", episodes)
     return root

@@ -83,13 +83,18 @@ PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, it
 
 def _generation(lines: list[Line]) -> str:
     rows = []
-    for line in _latest([{"retries": 0, **line} for line in lines], "task", "region", "retries"):
+    plain = {"retries": 0, "command_noise": 0.0, "start_spread": 1.0}
+    for line in _latest([{**plain, **line} for line in lines], "task", "region", *plain):
         failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
         paper = GENERATION.get((line["task"], line["region"]))
         rate = _percent(line["successes"], line["attempts"])
         if line["retries"]:
             first = f"{100 * line['first_try_successes'] / line['attempts']:.1f}"
             rate += f", with up to {line['retries']} retries; {first} at the first try"
+        if line["command_noise"]:
+            rate += f", with command noise {line['command_noise']:g}"
+        if line["start_spread"] != 1.0:
+            rate += f", starts {line['start_spread']:g} times as wide"
         rows.append(
             [
                 line["task"],

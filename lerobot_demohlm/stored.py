@@ -15,7 +15,7 @@ import pyarrow.dataset as pads
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import InitialState
 from lerobot_demohlm import fingerprint
-from lerobot_demohlm.dataset import read_attempts
+from lerobot_demohlm.dataset import executed_of, read_attempts
 
 STATE, ENVIRONMENT_STATE, ACTION, SUCCESS = (
     "observation.state", "observation.environment_state", "action", "next.success"
@@ -34,6 +34,7 @@ class StoredEpisode:
         digest: SHA-256 of all simulated states.
         initial_state: Where it began.
         fingerprints: (T + 1, 4) uint32, see ``fingerprint``.
+        commands: (T, 23) as executed: the actions, or these with the noise that they carried.
         columns: (T, D) by feature.
     """
 
@@ -43,6 +44,7 @@ class StoredEpisode:
     digest: str
     initial_state: InitialState
     fingerprints: np.ndarray
+    commands: np.ndarray
     columns: dict[str, np.ndarray]
 
     def __len__(self) -> int:
@@ -86,7 +88,8 @@ def read(root: Path, episodes: Sequence[int]) -> list[StoredEpisode]:
     for episode in episodes:
         label, frames = labels[episode], episode_index == episode
         record, fingerprints = records.get(label["attempt"]), fingerprint.from_bytes(label["fingerprints"])
-        count = int(frames.sum())
+        count, columns = int(frames.sum()), {name: array[frames] for name, array in arrays.items()}
+        executed = executed_of(label, count)
         if record is None or record["frames"] != count or len(fingerprints) != count + 1:
             raise DatasetError(
                 f"episode {episode} with {count} frames, {len(fingerprints)} fingerprints, of attempt "
@@ -102,7 +105,8 @@ def read(root: Path, episodes: Sequence[int]) -> list[StoredEpisode]:
                 digest=record["digest"],
                 initial_state=record["initial_state"],
                 fingerprints=fingerprints,
-                columns={name: array[frames] for name, array in arrays.items()},
+                commands=columns[ACTION] if executed is None else executed,
+                columns=columns,
             )
         )
     return stored
@@ -110,17 +114,20 @@ def read(root: Path, episodes: Sequence[int]) -> list[StoredEpisode]:
 
 def _labels(root: Path, episodes: Sequence[int] | None) -> list[dict[str, Any]]:
     """Return the labels of some episodes, or of all."""
-    return _table(root / "meta" / "episodes", _LABELS, episodes).to_pylist()
+    return _table(root / "meta" / "episodes", _LABELS, episodes, optional=("executed",)).to_pylist()
 
 
-def _table(folder: Path, columns: Sequence[str], episodes: Sequence[int] | None) -> pa.Table:
-    """Read columns of the Parquet files of a folder: the rows of some episodes, or all."""
+def _table(
+    folder: Path, columns: Sequence[str], episodes: Sequence[int] | None, optional: Sequence[str] = ()
+) -> pa.Table:
+    """Read columns of the Parquet files of a folder, optional ones where they are: of some episodes, or all."""
     chosen = None if episodes is None else pads.field("episode_index").isin(list(episodes))
     try:
         files = pads.dataset(folder, format="parquet")
         missing = [name for name in columns if name not in files.schema.names]
         if not missing:
-            return files.to_table(columns=list(columns), filter=chosen)
+            present = [name for name in optional if name in files.schema.names]
+            return files.to_table(columns=[*columns, *present], filter=chosen)
     except (OSError, pa.ArrowException) as error:
         text = " ".join(str(error).split())[:200]
         raise DatasetError(f"{folder} that cannot be read ({text})", "Parquet files", "restore the dataset") from None

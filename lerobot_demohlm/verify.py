@@ -198,7 +198,7 @@ def compare(sim: Simulation, episodes: Sequence[StoredEpisode]) -> list[Differen
             break
         commands, active = sim.command, np.zeros(sim.num_worlds, dtype=bool)
         active[going] = True
-        commands[going] = [episodes[world].columns[ACTION][step] for world in going]
+        commands[going] = [episodes[world].commands[step] for world in going]
         sim.step(commands, active)
         after, success = sim.snapshot(), sim.success()
         for world in going:
@@ -239,7 +239,7 @@ class _Check:
         if self.going(step):
             self._compare(step, ENVIRONMENT_STATE, environment_state)
         if self.going(step):
-            broken = np.flatnonzero(~np.isfinite(self.entry.columns[ACTION][step]))
+            broken = np.flatnonzero(~np.isfinite(self.entry.commands[step]))
             if len(broken):
                 self._differs(step, "action", f"{command.NAMES[broken[0]]} is not a finite number")
 

@@ -144,6 +144,31 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
 
 
+def test_an_ablation_of_data_stands_beside_the_papers_tables(tmp_path: Path) -> None:
+    cells = plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0], policies=["mlp"], variants=["plain", "noise"])
+    plain, noise = cells
+    assert (plain, noise) == (CELL, dataclasses.replace(CELL, variant="noise"))
+    own = layout(tmp_path)
+    assert own.training(CELL) != own.training(noise)  # pyright: ignore[reportArgumentType]
+    own.dataset("LiftBox", "R3", 1000, "noise").mkdir(parents=True)
+    assert own.dataset("LiftBox", "R3", 100, "noise").name.endswith("_1000")
+    assert own.dataset("LiftBox", "R3", 100).name.endswith("_100")
+    old = make_line(successes=200)
+    del old["variant"]  # as lines were written before there were any
+    assert CELL.is_of(old) and not noise.is_of(old)
+    new = make_line(noise, 225, data_success_rate=0.97)  # pyright: ignore[reportArgumentType]
+    rows = tables.variants_table([old, new]).splitlines()
+    assert rows[2] == "| task | region | policy | episodes | plain | noise | generation: plain | generation: noise |"
+    assert rows[4] == "| LiftBox | R3 | MLP | 100 | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | - | 97.0 |"
+    assert tables.variants_table([old, old]) == ""
+    assert tables.main_table([old, new]) == tables.main_table([old])
+    assert tables.main_table([new]) == tables.variants_table([new]) == ""
+    assert plots.size_figure([old, new]) == plots.size_figure([old])
+    assert tables.variants_table([old, new]) in tables.experiments_tables([old, new])
+    with pytest.raises(UnknownNameError, match="variant 'noisy'"):
+        dataclasses.replace(CELL, variant="noisy")
+
+
 def test_paper_has_every_task() -> None:
     assert paper.SUCCESS_BY_SIZE.keys() == paper.SUCCESS_BY_ARCHITECTURE.keys()
     assert {task for task, region in paper.GENERATION if region == "R3"} == paper.SUCCESS_BY_SIZE.keys()

@@ -193,14 +193,14 @@ def test_counts_of_a_run() -> None:
 def test_maps_count_every_attempt_once_where_it_began() -> None:
     records = records_of(["success", "fell"] * 60)
     success = np.array([record["outcome"] == "success" for record in records])
-    for figure in run_page.maps(records, success, run.TASK, "R1"):
+    for figure in run_page.maps(records, success, run.TASK.region("R1")):
         cells = re.findall(r"<title>(\d+) of (\d+) attempts succeeded</title>", figure)
         assert sum(int(good) for good, _ in cells) == 60
         assert sum(int(count) for _, count in cells) == 120
         assert figure.count("<circle") == 60
     axis = figures.Axis(name="x", values=np.array([-0.6, -0.46, -0.3]), low=-0.6, high=-0.3)
     assert axis.bins(3).tolist() == [0, 1, 2]
-    assert len(run_page.bars(records, success, run.TASK, "R1")) == 6
+    assert len(run_page.bars(records, success, run.TASK.region("R1"))) == 6
 
 
 def test_round_ticks() -> None:

@@ -5,15 +5,16 @@ import math
 import shutil
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.dataset import read_facts
 from lerobot_demohlm.evaluation import FIRST_SEED, evaluate
-from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell, stamp
+from lerobot_demohlm.experiments.plan import VARIANTS, Cell, Layout, RegionCell, stamp
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.presets import get_preset
 from lerobot_demohlm.rollouts import Setting, load_policy
@@ -81,21 +82,20 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None
 
 
 def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
-    dataset = layout.dataset(cell.task, cell.region, cell.num_train_episodes)
+    dataset = layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant)
     if not dataset.exists():
         if effort.is_over:
             return None
-        generate(
-            GenerationRequest(
-                task=cell.task,
-                region=cell.region,
-                seed=DATA_SEED,
-                root=dataset,
-                num_episodes=cell.num_train_episodes,
-                num_workers=effort.num_workers,
-                show_progress=False,
-            )
+        request = GenerationRequest(
+            task=cell.task,
+            region=cell.region,
+            seed=DATA_SEED,
+            root=dataset,
+            num_episodes=cell.num_train_episodes,
+            num_workers=effort.num_workers,
+            show_progress=False,
         )
+        generate(replace(request, **VARIANTS[cell.variant]))
     training = layout.training(cell)
     if not _times_file(training).exists():
         if effort.is_over:
@@ -124,6 +124,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
         "successes_end": sum(record["success_end"] for record in records),
         "successes_ever": sum(record["success_ever"] for record in records),
         "outcomes": dict(Counter(record["outcome"] for record in records)),
+        "data_success_rate": read_facts(dataset)["success_rate"],
         "rollouts_per_hour": round(3600 * made / elapsed) if made > 0 else None,
         **json.loads(_times_file(training).read_text()),
     }

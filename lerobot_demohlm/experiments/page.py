@@ -20,7 +20,7 @@ from gym_demohlm.task import get_task
 from lerobot_demohlm import provenance, results
 from lerobot_demohlm.evaluation import read_records
 from lerobot_demohlm.experiments import plots
-from lerobot_demohlm.experiments.plan import Cell, Layout
+from lerobot_demohlm.experiments.plan import PLAIN, Cell, Layout
 from lerobot_demohlm.experiments.tables import TITLES, latest
 from lerobot_demohlm.training import checkpoint
 
@@ -81,13 +81,18 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
         failed = [record for record in records if not record["success_held"]]
         shown.append(
             Section(
-                title=f"{cell.task}: {TITLES[cell.policy]}, {cell.num_train_episodes} episodes, seed {cell.train_seed}",
+                title=_title(cell),
                 line=line,
                 heat_map=plots.failure_map(records),
                 videos=[_film(cell, layout, record) for record in _different(failed, num_videos)],
             )
         )
     return shown
+
+
+def _title(cell: Cell) -> str:
+    data = "" if cell.variant == PLAIN else f"{cell.variant}, "
+    return f"{cell.task}: {TITLES[cell.policy]}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
 
 
 def _different(failed: Sequence[Mapping[str, Any]], count: int) -> list[Mapping[str, Any]]:

@@ -3,7 +3,7 @@
 import functools
 import hashlib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,14 @@ FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions":
 _SIZES = {"main": (1000, 100), "architectures": (1000,)}
 _SEEDS = {"main": (0, 1), "architectures": (0,)}
 TABLES = ("main", "architectures", "regions")
+PLAIN, DEFAULT_VARIANT = "plain", "plain"  # what lines without a variant are of; what the paper's tables are made with
+VARIANTS: Mapping[str, Mapping[str, float]] = {
+    PLAIN: {"command_noise": 0.0, "start_spread": 1.0},
+    "noise": {"command_noise": 1.0, "start_spread": 1.0},
+    "spread": {"command_noise": 0.0, "start_spread": 1.3},
+    "both": {"command_noise": 1.0, "start_spread": 1.3},
+}
+"""Ways to generate training data, as fields of a ``GenerationRequest``; rollouts are the same for all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +41,7 @@ class Cell:
         num_train_episodes: Episodes it is trained on, the first of its task's dataset.
         train_seed: Of weights and order of samples.
         region: Initial region of data and rollouts.
+        variant: How its data is generated, a key of ``VARIANTS``.
     """
 
     task: str
@@ -41,11 +50,14 @@ class Cell:
     num_train_episodes: int
     train_seed: int
     region: str = DEFAULT_REGION
+    variant: str = DEFAULT_VARIANT
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
         get_task(self.task).region(self.region)
         get_preset(self.policy, self.preset)
+        if self.variant not in VARIANTS:
+            raise UnknownNameError("variant", self.variant, VARIANTS)
         if self.num_train_episodes < 1 or self.train_seed < 0:
             raise PolicyError(
                 f"num_train_episodes={self.num_train_episodes}, train_seed={self.train_seed}",
@@ -57,10 +69,11 @@ class Cell:
     def name(self) -> str:
         """Return what its directory is called."""
         parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
-        return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts)))
+        return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts, *_suffix(self.variant))))
 
     def is_of(self, line: dict[str, Any]) -> bool:
         """Tell whether a line of results is this cell's, from the same robot, controller and demonstration."""
+        line = {"variant": PLAIN, **line}
         return all(line.get(key) == value for key, value in asdict(self).items()) and line.get("stamp") == stamp(
             self.task
         )
@@ -84,6 +97,11 @@ class RegionCell:
         return (line.get("task"), line.get("region"), line.get("stamp")) == mine
 
 
+def _suffix(variant: str) -> tuple[str, ...]:
+    """Return what the names of files say of a variant."""
+    return () if variant == PLAIN else (variant,)
+
+
 @functools.cache
 def stamp(task: str) -> str:
     """Return eight letters that change with the controller or with the task's demonstration."""
@@ -99,6 +117,7 @@ def plan(
     sizes: Sequence[int] | None = None,
     seeds: Sequence[int] | None = None,
     policies: Sequence[str] | None = None,
+    variants: Sequence[str] | None = None,
 ) -> list[Cell] | list[RegionCell]:
     """Return the cells of a table: each round goes through all tasks before the next begins.
 
@@ -109,9 +128,10 @@ def plan(
         sizes: Numbers of training episodes, the first wanted first; the table's by default.
         seeds: Of the trainings; the table's by default.
         policies: The table's by default: main trains the MLP everywhere, and ACT once at the largest size.
+        variants: Of the training data; more than one, for an ablation, are run in turn.
 
     Raises:
-        UnknownNameError: No such table, task, policy or preset.
+        UnknownNameError: No such table, task, policy, preset or variant.
     """
     if table not in TABLES:
         raise UnknownNameError("table", table, TABLES)
@@ -120,8 +140,9 @@ def plan(
         return [RegionCell(task=task, region=region) for region in reversed(REGIONS) for task in names]
     rounds = _rounds(table, sizes or _SIZES[table], _SEEDS[table] if seeds is None else seeds, policies)
     return [
-        Cell(task=task, policy=policy, preset=preset, num_train_episodes=size, train_seed=seed)
+        Cell(task=task, policy=policy, preset=preset, num_train_episodes=size, train_seed=seed, variant=variant)
         for policy, size, seed in rounds
+        for variant in variants or (DEFAULT_VARIANT,)
         for task in names
     ]
 
@@ -158,9 +179,9 @@ class Layout:
         """Return where the success of generation goes."""
         return self.results / "generation.jsonl"
 
-    def dataset(self, task: str, region: str, size: int) -> Path:
+    def dataset(self, task: str, region: str, size: int, variant: str = PLAIN) -> Path:
         """Return the smallest dataset there is with so many episodes, or where to make one."""
-        stem = f"{provenance.file_name(get_task(task))}_{region.lower()}_{stamp(task)}"
+        stem = "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
         held = {path: int(path.name.rpartition("_")[2]) for path in (self.root / "data").glob(f"{stem}_*[0-9]")}
         enough = [path for path, count in held.items() if count >= size]
         return min(enough, key=lambda path: held[path], default=self.root / "data" / f"{stem}_{size}")

@@ -11,7 +11,7 @@ import numpy as np
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.experiments import paper
-from lerobot_demohlm.experiments.plan import REGIONS
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
 from lerobot_demohlm.experiments.tables import TITLES, by_region, group, latest, rate
 from lerobot_demohlm.presets import POLICIES
 
@@ -115,9 +115,15 @@ def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) 
     return f'{head} {style}><rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
 
 
+def _chosen(lines: Sequence[Line], preset: str) -> list[Line]:
+    """Return the lines that the paper's figures are drawn from."""
+    found = latest(lines, DEFAULT_VARIANT)
+    return [line for line in found if (line["region"], line["preset"]) == (DEFAULT_REGION, preset)]
+
+
 def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
     """Return success against the number of training episodes, a panel a task and one for their mean."""
-    chosen = [line for line in latest(lines) if (line["region"], line["preset"]) == (DEFAULT_REGION, preset)]
+    chosen = _chosen(lines, preset)
     cells = group(chosen, "task", "policy", "num_train_episodes")
     if not cells:
         return ""
@@ -154,7 +160,7 @@ def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
 def architectures_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
     """Return bars of success by policy, a panel a task, at the largest size that more than one policy has."""
     panels = []
-    chosen = [line for line in latest(lines) if (line["region"], line["preset"]) == (DEFAULT_REGION, preset)]
+    chosen = _chosen(lines, preset)
     for (task,), found in group(chosen, "task").items():
         by_size = group(found, "num_train_episodes", "policy")
         shared = [size for size in {key[0] for key in by_size} if sum(key[0] == size for key in by_size) > 1]

@@ -20,9 +20,10 @@ from typing import Any
 from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.task import get_task
 from lerobot_demohlm import results
-from lerobot_demohlm.experiments.plan import TABLES, Cell, Layout, RegionCell, plan
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, TABLES, VARIANTS, Cell, Layout, RegionCell, plan
 from lerobot_demohlm.presets import NAMES, POLICIES
 
+_CHOICES = ("tasks", "sizes", "seeds", "policies", "variants")
 Line = dict[str, Any]
 
 
@@ -100,6 +101,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training episodes, most wanted first")
     parser.add_argument("--seeds", nargs="+", type=int, help="of the trainings (default: the table's)")
     parser.add_argument("--policies", nargs="+", choices=POLICIES, help="(default: the table's)")
+    parser.add_argument(
+        "--variants",
+        nargs="+",
+        choices=tuple(VARIANTS),
+        help=f"of the training data; more than one is an ablation (default: {DEFAULT_VARIANT})",
+    )
     parser.add_argument("--preset", default="cpu", choices=NAMES, help="hyperparameters (default: %(default)s)")
     parser.add_argument("--num-rollouts", type=int, default=250, help="of each policy (default: %(default)s)")
     parser.add_argument("--num-attempts", type=int, default=500, help="in each region (default: %(default)s)")
@@ -130,7 +137,7 @@ def main(arguments: argparse.Namespace) -> None:
                 f"{name}={getattr(arguments, name)}", "more than 0", f"correct --{name.replace('_', '-')}"
             )
     layout = Layout(root=arguments.root, results=arguments.results)
-    chosen = {name: getattr(arguments, name) for name in ("tasks", "sizes", "seeds", "policies", "preset")}
+    chosen = {name: getattr(arguments, name) for name in (*_CHOICES, "preset")}
     cells = plan(arguments.table, **chosen)
     if arguments.dry_run:
         for cell in missing(cells, layout):
@@ -161,7 +168,7 @@ def main(arguments: argparse.Namespace) -> None:
 def _command(arguments: argparse.Namespace) -> str:
     """Return the call that makes the lines, without where things are and how many cells run at a time."""
     words = ["demohlm reproduce --table", arguments.table]
-    for name in ("tasks", "sizes", "seeds", "policies"):
+    for name in _CHOICES:
         values = getattr(arguments, name)
         words += [f"--{name}", *map(str, values)] if values else []
     parser = argparse.ArgumentParser()

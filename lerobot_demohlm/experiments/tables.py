@@ -1,4 +1,4 @@
-"""Lines of results -> the paper's three tables with ours beside them, as Markdown."""
+"""Lines of results -> the paper's three tables with ours beside them, and the ablation of data, as Markdown."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -8,10 +8,11 @@ import numpy as np
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.experiments import paper
-from lerobot_demohlm.experiments.plan import REGIONS
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, PLAIN, REGIONS, VARIANTS
 from lerobot_demohlm.presets import POLICIES
 
 RESAMPLES = 10_000
+VARIANTS_NOTE = "noise: commands are executed with noise and recorded without; spread: wider starts of the robot"
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
 Line = dict[str, Any]
 
@@ -39,12 +40,17 @@ def rate(lines: Sequence[Line], key: str = "successes") -> tuple[float, float, f
     return mean, min(mean, float(low)), max(mean, float(high))
 
 
-def latest(lines: Iterable[Line]) -> list[Line]:
-    """Keep the last line of each cell, of those with the controller and demonstration of their task's last line."""
-    lines = list(lines)
+def latest(lines: Iterable[Line], variant: str | None = None) -> list[Line]:
+    """Keep the last line of each cell, of those with the controller and demonstration of their task's last line.
+
+    Args:
+        lines: Of ``experiments.jsonl``; those that say no variant are plain.
+        variant: Keep lines of this one only.
+    """
+    lines = [{"variant": PLAIN, **line} for line in lines]
     stamps = {line["task"]: line["stamp"] for line in lines}
-    keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region")
-    current = [line for line in lines if line["stamp"] == stamps[line["task"]]]
+    keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
+    current = [line for line in lines if line["stamp"] == stamps[line["task"]] and variant in (None, line["variant"])]
     return list({tuple(line[key] for key in keys): line for line in current}.values())
 
 
@@ -78,7 +84,9 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def main_table(lines: Iterable[Line]) -> str:
     """Return success by the number of training episodes, one row a task; the paper's is ACT."""
-    cells = group(latest(lines), "task", "num_train_episodes", "policy", "preset")
+    cells = group(latest(lines, DEFAULT_VARIANT), "task", "num_train_episodes", "policy", "preset")
+    if not cells:
+        return ""
     tasks = dict.fromkeys(task for task, *_ in cells)
     sizes = sorted({size for _, size, *_ in cells})
     methods = {size: _methods(cells, size) for size in sizes}
@@ -100,7 +108,7 @@ def main_table(lines: Iterable[Line]) -> str:
 
 def architectures_table(lines: Iterable[Line]) -> str:
     """Return success by policy, for tasks and sizes with more than one of them."""
-    cells = group(latest(lines), "task", "num_train_episodes", "preset", "policy")
+    cells = group(latest(lines, DEFAULT_VARIANT), "task", "num_train_episodes", "preset", "policy")
     rows = []
     for task, size, preset in dict.fromkeys(key[:3] for key in cells):
         ours = [cells.get((task, size, preset, policy)) for policy in POLICIES]
@@ -119,7 +127,8 @@ def architectures_table(lines: Iterable[Line]) -> str:
 
 def by_region(lines: Iterable[Line]) -> dict[str, list[Line]]:
     """Return the last line of each region in order, for tasks with all three; the first try of an attempt counts."""
-    last = {(line["task"], line["region"]): line for line in lines if not line.get("retries")}
+    own = [line for line in lines if not line.get("retries") and not line.get("command_noise")]
+    last = {(line["task"], line["region"]): line for line in own if line.get("start_spread", 1.0) == 1.0}
     tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
     return {task: [last[task, region] for region in REGIONS] for task in tasks}
 
@@ -134,6 +143,26 @@ def regions_table(lines: Iterable[Line]) -> str:
         return ""
     header = ["task", *REGIONS, *(f"paper: {region}" for region in REGIONS)]
     return "**Generation success by initial region** [%]\n\n" + markdown(header, rows)
+
+
+def variants_table(lines: Iterable[Line]) -> str:
+    """Return success by the way the training data was generated, for what was trained on more than one."""
+    lines = latest(lines)
+    cells = group(lines, "task", "policy", "preset", "num_train_episodes", "region", "variant")
+    names = [name for name in VARIANTS if any(line["variant"] == name for line in lines)]
+    rows = []
+    for key in dict.fromkeys(key[:-1] for key in cells):
+        ours = [cells.get((*key, name)) for name in names]
+        if sum(found is not None for found in ours) > 1:
+            task, policy, preset, size, region = key
+            shares = [found[0].get("data_success_rate") if found else None for found in ours]
+            generated = [number(None if share is None else 100 * share) for share in shares]
+            rows.append([task, region, _title(policy, preset), str(size), *map(percent, ours), *generated])
+    if not rows:
+        return ""
+    header = ["task", "region", "policy", "episodes", *names, *(f"generation: {name}" for name in names)]
+    title = "**Success by how the training data was generated** [%], the same rollouts for all, and that of generation"
+    return f"{title}; {VARIANTS_NOTE}\n\n" + markdown(header, rows)
 
 
 def cost_table(lines: Iterable[Line]) -> str:
@@ -157,7 +186,7 @@ def cost_table(lines: Iterable[Line]) -> str:
 def experiments_tables(lines: list[Line]) -> str:
     """Return every table that lines of ``experiments.jsonl`` fill."""
     parts = [main_table(line for line in lines if line["region"] == DEFAULT_REGION), architectures_table(lines)]
-    return "\n\n".join(part for part in (*parts, cost_table(lines)) if part)
+    return "\n\n".join(part for part in (*parts, variants_table(lines), cost_table(lines)) if part)
 
 
 def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:

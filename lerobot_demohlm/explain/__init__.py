@@ -76,6 +76,7 @@ def explain_attempt(
     """
     from lerobot_demohlm.explain.attempt_page import attempt_page
     from lerobot_demohlm.explain.trace import trace
+    from lerobot_demohlm.generation.stages import chosen_settings
 
     facts, attempts = read_run(root)
     task = task or get_task(facts["task"])
@@ -89,7 +90,7 @@ def explain_attempt(
             f"{facts['demonstration_hash'][:12]}, which the run was made from",
             "name its directory with --demonstration",
         )
-    made = trace(task, source, facts["region"], facts["seed"], attempt, facts.get("retries", 0))
+    made = trace(task, source, facts["region"], facts["seed"], attempt, chosen_settings(facts))
     same = made.episode.digest == records[attempt]["digest"]
     again = agreement(records[attempt], made.episode)
     origin = f"{facts['task']}, {facts['region']}, seed {facts['seed']}, attempt {attempt} of {len(records)}"

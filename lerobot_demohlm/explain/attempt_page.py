@@ -141,7 +141,8 @@ def footprint(model: mujoco.MjModel, name: str) -> np.ndarray:
 
 def charts(trace: Trace) -> list[Markup]:
     """Return the curves over time: contacts, commands against what was measured, objects."""
-    action, names = trace.episode.action, [entry.name for entry in trace.task.objects]
+    action, executed = trace.episode.action, trace.episode.executed
+    names = [entry.name for entry in trace.task.objects]
     bands = [(start, stop, STAGE_COLOURS[stage]) for stage, start, stop in trace.bands()]
     success = np.flatnonzero(trace.episode.success)
     marks = {"success": float(success[0] + 1) * STEP_DT} if len(success) else {}
@@ -149,11 +150,15 @@ def charts(trace: Trace) -> list[Markup]:
     def drawn(title: str, *curves: Curve, marks: dict[str, float] | None = None) -> Markup:
         return chart(title, curves, trace.duration_s, bands, marks)
 
-    def pair(name: str, wanted: np.ndarray, measured: np.ndarray, colour: str) -> tuple[Curve, Curve]:
+    def pair(name: str, wanted: np.ndarray, measured: np.ndarray, colour: str) -> tuple[Curve, ...]:
         return (
             Curve(name=f"{name} commanded".strip(), values=wanted, colour=colour, dashed=True),
             Curve(name=f"{name} measured".strip(), values=measured, colour=colour),
         )
+
+    def carried(column: int) -> tuple[Curve, ...]:
+        """The command with the noise that it carried, where it did."""
+        return () if executed is None else (Curve(name="executed", values=executed[:, column], colour=figures.RIGHT),)
 
     demonstrated = trace.demonstration.contact_forces
     shown = []
@@ -174,8 +179,9 @@ def charts(trace: Trace) -> list[Markup]:
     shown.append(drawn("height of objects [m]", *heights, marks=marks))
     velocity = trace.base_velocity(LocomotionSettings().window_ticks)
     for column, title in enumerate(("forward velocity [m/s]", "sideways velocity [m/s]", "yaw rate [rad/s]")):
-        shown.append(drawn(title, *pair("", action[:, column], velocity[:, column], figures.LEFT)))
-    shown.append(drawn("torso height [m]", *pair("", action[:, command.HEIGHT], trace.pelvis[:, 2, 3], figures.LEFT)))
+        shown.append(drawn(title, *pair("", action[:, column], velocity[:, column], figures.LEFT), *carried(column)))
+    height = pair("", action[:, command.HEIGHT], trace.pelvis[:, 2, 3], figures.LEFT)
+    shown.append(drawn("torso height [m]", *height, *carried(command.HEIGHT)))
     angles = np.degrees(trace.torso_angles())
     wanted = np.degrees(action[:, [command.ROLL, command.PITCH, command.YAW]])
     curves = []
@@ -183,6 +189,11 @@ def charts(trace: Trace) -> list[Markup]:
         curves.append(Curve(name="", values=wanted[:, i], colour=figures.COLOURS[i], dashed=True))
         curves.append(Curve(name=name, values=angles[:, i], colour=figures.COLOURS[i]))
     shown.append(drawn("torso [deg], dashed: commanded", *curves))
+    if executed is not None:
+        noise = np.degrees(executed - action)
+        arms = zip(g1.SIDES, (command.LEFT_ARM, command.RIGHT_ARM), strict=True)
+        curves = [Curve(name=side, values=np.abs(noise[:, arm]).max(axis=1), colour=_HANDS[side]) for side, arm in arms]
+        shown.append(drawn("largest noise of a joint of each arm [deg]", *curves))
     if np.isfinite(trace.targets).any():
         curves = []
         for hand, side in enumerate(g1.SIDES):

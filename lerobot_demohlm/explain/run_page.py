@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from gym_demohlm.task import Task
+from gym_demohlm.task import Region, Task
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.explain.figures import BAD, GOOD, OUTCOME_COLOURS, Axis, histogram, rate_bars, rate_map
 from lerobot_demohlm.explain.pages import render
@@ -34,6 +34,7 @@ def run_page(root: Path, facts: Mapping[str, Any], records: Sequence[Mapping[str
     success = np.array([record["outcome"] == "success" for record in records])
     by_length = sorted((record for record in records if record["outcome"] == "success"), key=lambda r: r["length_s"])
     failed = [record for record in records if record["outcome"] != "success"]
+    region = task.region(facts["region"]).widened(facts.get("start_spread", 1.0))
     return render(
         "run.html.j2",
         title=f"{facts['task']}, {facts['region']}, seed {facts['seed']}: {len(records)} attempts",
@@ -42,8 +43,8 @@ def run_page(root: Path, facts: Mapping[str, Any], records: Sequence[Mapping[str
         interval=wilson(int(success.sum()), len(records)),
         successes=int(success.sum()),
         count=len(records),
-        maps=maps(records, success, task, facts["region"]),
-        bars=bars(records, success, task, facts["region"]),
+        maps=maps(records, success, region),
+        bars=bars(records, success, region),
         times=times(records, success),
         stage_times=stage_times(records),
         ends=ends(records),
@@ -63,10 +64,9 @@ def command_line(root: Path, attempt: int) -> str:
     return f"demohlm explain --root {shlex.quote(str(root))} --attempt {attempt} --output attempt_{attempt}.html"
 
 
-def axes(records: Sequence[Mapping[str, Any]], task: Task, region: str) -> dict[str, Axis]:
+def axes(records: Sequence[Mapping[str, Any]], region: Region) -> dict[str, Axis]:
     """Return the six numbers of the initial states, by their names in ``Region``."""
     states = np.array([[*r["initial_state"]["robot"], *r["initial_state"]["object"]] for r in records], dtype=float)
-    ranges = task.region(region)
     named = {
         "robot_x": "robot x [m]",
         "robot_y": "robot y [m]",
@@ -78,14 +78,14 @@ def axes(records: Sequence[Mapping[str, Any]], task: Task, region: str) -> dict[
     found = {}
     for column, (key, name) in enumerate(named.items()):
         scale = 180.0 / math.pi if key.endswith("yaw") else 1.0
-        low, high = (scale * end for end in getattr(ranges, key))
+        low, high = (scale * end for end in getattr(region, key))
         found[key] = Axis(name=name, values=scale * states[:, column], low=low, high=high)
     return found
 
 
-def maps(records: Sequence[Mapping[str, Any]], success: np.ndarray, task: Task, region: str) -> list[Markup]:
+def maps(records: Sequence[Mapping[str, Any]], success: np.ndarray, region: Region) -> list[Markup]:
     """Return maps of success, with failed attempts in the colour of their outcome."""
-    known = axes(records, task, region)
+    known = axes(records, region)
     dots = [
         (row, OUTCOME_COLOURS[record["outcome"]], f"attempt {record['attempt']}: {_ended(record)}")
         for row, record in enumerate(records)
@@ -97,11 +97,11 @@ def maps(records: Sequence[Mapping[str, Any]], success: np.ndarray, task: Task, 
     ]
 
 
-def bars(records: Sequence[Mapping[str, Any]], success: np.ndarray, task: Task, region: str) -> list[Markup]:
+def bars(records: Sequence[Mapping[str, Any]], success: np.ndarray, region: Region) -> list[Markup]:
     """Return success rates over each number of the initial state."""
     count = int(np.clip(len(records) // 10, 1, BINS))
     found = []
-    for axis in axes(records, task, region).values():
+    for axis in axes(records, region).values():
         if _wide(axis):
             bins = axis.bins(count)
             numbers = [(int(success[bins == column].sum()), int((bins == column).sum())) for column in range(count)]

@@ -87,10 +87,10 @@ def frames_table(trace: Trace) -> list[dict[str, str]]:
 
 def tracking_table(trace: Trace) -> list[tuple[str, str, dict[str, float]]]:
     """Return (quantity, unit, root mean square of measured less commanded by stage)."""
-    action, stages = trace.episode.action, np.array(trace.stages)
-    velocity = trace.base_velocity(LocomotionSettings().window_ticks) - action[:, command.VELOCITY]
-    torso = np.degrees(trace.torso_angles()[1:] - action[:, [command.ROLL, command.PITCH, command.YAW]])
-    height = trace.pelvis[1:, 2, 3] - action[:, command.HEIGHT]
+    commands, stages = trace.episode.commands, np.array(trace.stages)
+    velocity = trace.base_velocity(LocomotionSettings().window_ticks) - commands[:, command.VELOCITY]
+    torso = np.degrees(trace.torso_angles()[1:] - commands[:, [command.ROLL, command.PITCH, command.YAW]])
+    height = trace.pelvis[1:, 2, 3] - commands[:, command.HEIGHT]
     errors = 1000 * trace.hand_errors()
     found = [
         ("forward velocity", "m/s", velocity[:, 0]),

@@ -155,7 +155,9 @@ class _Recorder:
         self.started_at += [len(self.ticks) - 1] * (begun - len(self.started_at))
 
 
-def trace(task: Task, demonstration: Demonstration, region: str, seed: int, index: int, retries: int = 0) -> Trace:
+def trace(
+    task: Task, demonstration: Demonstration, region: str, seed: int, index: int, settings: Settings | None = None
+) -> Trace:
     """Make an attempt again and take everything down.
 
     Args:
@@ -164,9 +166,9 @@ def trace(task: Task, demonstration: Demonstration, region: str, seed: int, inde
         region: Initial region.
         seed: Of the run.
         index: Of the attempt.
-        retries: How often it may begin again.
+        settings: Of the run.
     """
-    recorder, settings = _Recorder(), Settings(retries=retries)
+    recorder = _Recorder()
     attempts = Attempts(
         task, demonstration, region, seed, 1, settings, on_step=recorder.on_step, on_command=recorder.on_command
     )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gym_demohlm import observation
+from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.simulation import STEP_DT, Simulation
 from gym_demohlm.task import InitialState, Task
@@ -19,7 +20,7 @@ from gym_demohlm.worlds import FALLEN_HEIGHT, FALLEN_TILT
 from lerobot_demohlm.dataset import OUTCOMES, Episode
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.fingerprint import Trail
-from lerobot_demohlm.generation import stages
+from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
@@ -32,9 +33,9 @@ COLLISION_TICKS = 3  # once it has lasted this long (0.3 s)
 GENERATION_STREAM = 0  # first number of a seed sequence; evaluation and training use others, so seeds never overlap
 
 
-def initial_state(task: Task, region: str, seed: int, index: int) -> InitialState:
-    """Draw where attempt ``index`` of run ``seed`` starts."""
-    return task.sample(region, np.random.default_rng([GENERATION_STREAM, seed, index]))
+def initial_state(task: Task, region: str, seed: int, index: int, spread: float = 1.0) -> InitialState:
+    """Draw where attempt ``index`` of run ``seed`` starts, in a region whose robot poses are widened by a factor."""
+    return task.region(region).widened(spread).sample(np.random.default_rng([GENERATION_STREAM, seed, index]))
 
 
 def held(success: Sequence[bool] | np.ndarray) -> bool:
@@ -52,6 +53,7 @@ class Running:
         start: Its initial state.
         world: Where it runs.
         commands: What is left of its commands.
+        noise: What is left of its noise; None where commands are executed as planned.
         placement: Where it decided to stand; None before.
         playback: What moves the hands, once the robot stands there.
         stage: It is in.
@@ -62,7 +64,8 @@ class Running:
         trail: Fingerprints of its world.
         state: (68,) before each step.
         environment_state: (9k,) before each step.
-        action: (23,) as applied.
+        action: (23,) as planned.
+        executed: (23,) as applied.
         success: Whether the task's condition held after each step.
         stages: Stage of each step.
         contact_forces: (5, pairs) of each step [N].
@@ -73,6 +76,7 @@ class Running:
     start: InitialState
     world: World
     commands: Iterator[np.ndarray] = field(default_factory=lambda: iter(()))
+    noise: Iterator[np.ndarray] | None = None
     placement: Placement | None = None
     playback: Playback | None = None
     stage: str = stages.LOCOMOTION
@@ -84,6 +88,7 @@ class Running:
     state: list[np.ndarray] = field(default_factory=list)
     environment_state: list[np.ndarray] = field(default_factory=list)
     action: list[np.ndarray] = field(default_factory=list)
+    executed: list[np.ndarray] = field(default_factory=list)
     success: list[bool] = field(default_factory=list)
     stages: list[str] = field(default_factory=list)
     contact_forces: list[np.ndarray] = field(default_factory=list)
@@ -144,7 +149,8 @@ class Attempts:
 
     def _run_together(self, indices: Sequence[int]) -> list[Episode]:
         sim = self._sim
-        starts = [initial_state(self.task, self.region, self.seed, index) for index in indices]
+        spread, noisy = self.settings.start_spread, self.settings.command_noise > 0.0
+        starts = [initial_state(self.task, self.region, self.seed, index, spread) for index in indices]
         sim.reset(starts, np.arange(len(indices)))
         self._on_step(sim)
         running = [
@@ -154,6 +160,7 @@ class Attempts:
         before = sim.snapshot()
         for attempt in running:
             attempt.commands = self._commands(attempt)
+            attempt.noise = command_noise.bursts(self.seed, attempt.index) if noisy else None
             attempt.trail.add(before, attempt.world.index)
         while any(attempt.outcome is None for attempt in running):
             self._step(running)
@@ -163,12 +170,13 @@ class Attempts:
         """Ask every attempt for a command, make one step of all worlds, and judge them."""
         sim = self._sim
         commands, active = sim.command, np.zeros(sim.num_worlds, dtype=bool)
+        planned = commands.astype(np.float32)  # as a dataset stores them
         for attempt in running:
-            wanted = self._next_command(attempt)
+            wanted, world = self._next_command(attempt), attempt.world.index
             if wanted is not None:
-                # What a dataset stores is what was applied: float32.
-                commands[attempt.world.index] = wanted.astype(np.float32)
-                active[attempt.world.index] = True
+                planned[world] = wanted
+                commands[world] = planned[world] if attempt.noise is None else self._disturbed(attempt, planned[world])
+                active[world] = True
         if not active.any():
             return
         state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
@@ -181,7 +189,9 @@ class Attempts:
                 continue
             attempt.state.append(state[world])
             attempt.environment_state.append(environment_state[world])
-            attempt.action.append(commands[world].astype(np.float32))
+            attempt.action.append(planned[world].copy())
+            attempt.executed.append(commands[world].astype(np.float32))
+            attempt.world.noise[:] = commands[world] - planned[world]
             attempt.success.append(bool(success[world]))
             attempt.stages.append(attempt.stage)
             attempt.contact_forces.append(result.contact_forces[world])
@@ -218,6 +228,13 @@ class Attempts:
             self._on_command(attempt, wanted)
             return wanted
         return None
+
+    def _disturbed(self, attempt: Running, planned: np.ndarray) -> np.ndarray:
+        """Return the command (23,) float32 that is executed where an attempt has planned one."""
+        assert attempt.noise is not None  # else there is nothing to ask for
+        noise, delicate = next(attempt.noise), attempt.playback is not None and attempt.playback.delicate
+        share = 0.0 if delicate else self.settings.command_noise * command_noise.SHARES[attempt.stage]
+        return command_noise.disturbed(planned, share * noise)
 
     def _commands(self, attempt: Running) -> Iterator[np.ndarray]:
         """Go through the stages of one attempt, as often as it may."""
@@ -273,7 +290,8 @@ class Attempts:
             stage=attempt.stage,
             state=rows(attempt.state, len(observation.STATE_NAMES)),
             environment_state=rows(attempt.environment_state, width),
-            action=rows(attempt.action, 23),
+            action=rows(attempt.action, command.SIZE),
+            executed=None if attempt.noise is None else rows(attempt.executed, command.SIZE),
             success=np.array(attempt.success, dtype=bool),
             initial_state=copy.deepcopy(attempt.start),
             length_s=length * STEP_DT,

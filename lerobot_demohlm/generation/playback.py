@@ -85,8 +85,9 @@ class Playback:
         self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._base_path = BasePath(demonstration, self.settings)
-        closing = [event for event in gripper_events(demonstration.action) if event.kind == "close"]
-        self._closing = {} if task.hands == "rubber" else _by_tick([(event.tick, event.hand) for event in closing])
+        gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)
+        self._closing = _by_tick([(event.tick, event.hand) for event in gripping if event.kind == "close"])
+        self._switches = {entry.start for entry in segments if entry.start > 0} | {event.tick for event in gripping}
 
     def run(self) -> Iterator[np.ndarray]:
         """Yield commands until the demonstration is over."""
@@ -114,6 +115,13 @@ class Playback:
         self.activity = "hold"
         for _ in range(self.settings.final_ticks):
             yield last
+
+    @property
+    def delicate(self) -> bool:
+        """Whether the last command has to do with a touch, a grip or a release, and is to be executed as planned."""
+        before, after = self.settings.delicate_ticks
+        near = any(-before <= self.tick - switch <= after for switch in self._switches)
+        return near or self.activity not in ("transit", "follow", "walk on")
 
     def withdraw(self, settings: RetreatSettings) -> Iterator[np.ndarray]:
         """Yield commands that open the grippers and take the hands back the way they came."""

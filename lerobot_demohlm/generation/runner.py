@@ -27,7 +27,7 @@ from lerobot_demohlm import provenance
 from lerobot_demohlm.dataset import GenerationFacts, installed_versions
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.stages import Settings
+from lerobot_demohlm.generation.stages import chosen_settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.generation_block import write_block
 from lerobot_demohlm.generation_run import GenerationRun
@@ -57,6 +57,8 @@ class GenerationRequest:
         keep_failures: Write failed attempts to a second dataset beside it.
         block_size: Attempts a block.
         retries: How often an attempt may begin again after a stage that failed.
+        command_noise: Scale of the noise that commands carry when they are executed; recorded are those without.
+        start_spread: Factor by which the region's ranges of the robot's pose are widened.
         show_progress: Draw a progress bar on stderr.
     """
 
@@ -74,6 +76,8 @@ class GenerationRequest:
     keep_failures: bool = False
     block_size: int = BLOCK_SIZE
     retries: int = 0
+    command_noise: float = 0.0
+    start_spread: float = 1.0
     show_progress: bool = True
 
 
@@ -90,6 +94,8 @@ class GenerationSummary:
         success_rate: successes / attempts.
         outcomes: Attempts by outcome.
         retries: How often an attempt might begin again.
+        command_noise: As requested.
+        start_spread: As requested.
         first_try_successes: Successes that did not: those that there would have been without retries.
         episodes_per_hour: Successes an hour of this call; blocks that were on disk before it are not counted.
     """
@@ -102,6 +108,8 @@ class GenerationSummary:
     success_rate: float
     outcomes: dict[str, int]
     retries: int
+    command_noise: float
+    start_spread: float
     first_try_successes: int
     episodes_per_hour: float
 
@@ -139,6 +147,8 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         block_size=request.block_size,
         keep_failures=request.keep_failures,
         retries=request.retries,
+        command_noise=request.command_noise,
+        start_spread=request.start_spread,
     )
     repo_id = request.repo_id or f"demohlm/{provenance.file_name(task)}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
@@ -157,7 +167,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         run.close()
     kept = (
         *("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes"),
-        *("retries", "first_try_successes"),
+        *("retries", "command_noise", "start_spread", "first_try_successes"),
     )
     return GenerationSummary(
         **{key: content[key] for key in kept},
@@ -229,7 +239,7 @@ class BlockMaker:
                 "install the same on all machines, and use one family of processors",
             )
         importlib.import_module(self.task_module)
-        facts, settings = self.facts, Settings(retries=self.facts.retries)
+        facts, settings = self.facts, chosen_settings(asdict(self.facts))
         return Attempts(get_task(facts.task), self.demonstration, facts.region, facts.seed, facts.block_size, settings)
 
 
@@ -314,6 +324,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         help="times that an attempt may walk back and begin again after a missed goal or grip (default: %(default)s)",
     )
+    parser.add_argument(
+        "--command-noise",
+        type=float,
+        default=0.0,
+        metavar="SCALE",
+        help="execute commands with noise and record them without; 1 is 0.05 m/s, 0.025 rad (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--start-spread",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="widen the region's ranges of the robot's pose, x away from the object (default: %(default)s)",
+    )
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -332,5 +356,7 @@ def main(arguments: argparse.Namespace) -> None:
         repo_id=arguments.repo_id,
         keep_failures=arguments.keep_failures,
         retries=arguments.retries,
+        command_noise=arguments.command_noise,
+        start_spread=arguments.start_spread,
     )
     print(json.dumps(summary_json(generate(request))))

@@ -5,8 +5,9 @@ step. So stages of many worlds run side by side in one simulation. A stage that 
 """
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class PlaybackSettings:
         arrive_ticks: Longest time to walk on where more is left.
         displaced_m: An object pushed further than this before the hands take it was run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
+        delicate_ticks: Ticks before and after a touch, a grip or a release in which no command is disturbed.
     """
 
     transit_speed: float = 0.3
@@ -61,6 +63,7 @@ class PlaybackSettings:
     arrive_ticks: int = 25
     displaced_m: float = 0.06
     final_ticks: int = 5
+    delicate_ticks: tuple[int, int] = (10, 5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,13 +111,22 @@ class Settings:
     Attributes:
         retries: How often an attempt may begin again where the walk has missed its goal, the hands could not reach the
             object, or a gripper has closed beside it; each try has the task's whole time limit.
+        command_noise: Scale of the noise that executed commands carry (``command_noise``); without any where 0.
+        start_spread: Factor by which the region's ranges of the robot's pose are widened.
     """
 
     retries: int = 0
+    command_noise: float = 0.0
+    start_spread: float = 1.0
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
+
+
+def chosen_settings(facts: Mapping[str, Any]) -> Settings:
+    """Return the settings of a run by what it keeps of itself, as ``meta/demohlm.json``; older runs keep less."""
+    return Settings(**{name: facts[name] for name in ("retries", "command_noise", "start_spread") if name in facts})
 
 
 class StageError(Exception):
