@@ -8,17 +8,18 @@ from gym_demohlm.control import command
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc import reach
+from gym_demohlm.wbc.figure import Figure
 from gym_demohlm.wbc.trial import trial_simulation
 
 
 @pytest.fixture(scope="module")
-def figure() -> reach.Figure:
+def figure() -> Figure:
     simulation = trial_simulation(1)
     simulation.close()
-    return reach.Figure(simulation.model, Weights().make_reference())
+    return Figure(simulation.model, Weights().make_reference())
 
 
-def test_an_obedient_robot_stands_on_level_soles_at_the_commanded_height(figure: reach.Figure) -> None:
+def test_an_obedient_robot_stands_on_level_soles_at_the_commanded_height(figure: Figure) -> None:
     wanted = command.rest()
     wanted[command.TORSO] = [0.55, 0.1, 0.6, 0.3]
     figure.stand(wanted)
@@ -30,7 +31,7 @@ def test_an_obedient_robot_stands_on_level_soles_at_the_commanded_height(figure:
     np.testing.assert_allclose([roll, pitch], [0.1, 0.6], atol=0.02)
 
 
-def test_targets_are_drawn_by_the_seed_alone_and_spread(figure: reach.Figure) -> None:
+def test_targets_are_drawn_by_the_seed_alone_and_spread(figure: Figure) -> None:
     first, second = (reach.draw_targets(figure, 12, np.random.default_rng(4), candidates=150) for _ in range(2))
     assert np.array_equal(first, second)
     assert (first[..., 0, 3] > 0.15).all() and (first[..., 2, 3] > 0.05).all()

@@ -47,6 +47,7 @@ SLEW = np.array([1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5])  # fastest change of the co
 WALK_HEIGHT = 0.60  # m: lowest while stepping
 WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
 WALK_YAW = 0.3  # rad: most turned while stepping
+_NEARLY_THERE = np.array([0.06, 0.1, 0.15, 0.2])  # m, rad, rad, rad: height, roll, pitch, yaw
 # A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles: it
 # stays less than 3 cm behind their middle, arms at home, above this forward lean [rad], linear in height [m].
 LEAN_BACK_HEIGHT, LEAN_BACK, LEAN_BACK_SLOPE = 0.40, 0.03, -2.2
@@ -78,20 +79,24 @@ _WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
     """Return what of a command can be followed now: first stand, then bend; first rise, then walk.
 
-    A robot that squats or bends deeply ignores velocities; one that steps stays high and nearly upright; one that
-    squats deeply does not lean back; one that bends to a side does not roll further down there.
+    A robot that squats, bends or turns its torso far ignores velocities, and one that stands first gets nearly to the
+    posture that goes with them; one that steps stays high and nearly upright; one that squats deeply does not lean
+    back; one that bends to a side does not roll further down there.
 
     Args:
         goal: (N, 7 or more) command.
-        current: (N, 7) slewed command.
+        current: (N, 7 or more) slewed command.
         standing: (N,) bool, whether the clock rests.
 
     Returns:
         (N, 7) the command to slew towards.
     """
     goal = goal[:, :7].copy()
-    bent = (current[:, 3] < WALK_HEIGHT - 0.01) | (current[:, 5] > WALK_PITCH[1] + 0.02)
-    goal[bent, :3] = 0.0
+    posture = current[:, 3:7]
+    bent = (posture[:, 0] < WALK_HEIGHT - 0.01) | (posture[:, 2] > WALK_PITCH[1] + 0.02)
+    bent |= (np.abs(posture[:, [1, 3]]) > [0.1, WALK_YAW + 0.05]).any(axis=1)
+    on_its_way = (np.abs(goal[:, 3:] - posture) > _NEARLY_THERE).any(axis=1)
+    goal[bent | (standing & on_its_way), :3] = 0.0
     # Up, for the torso, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1), about.
     lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT))
     ahead, aside = np.cos(goal[:, 6]), np.sin(goal[:, 6])

@@ -1,24 +1,27 @@
 """Random commands on the deployment model -> tracking errors, survival, sliding: ``demohlm benchmark controller``.
 
 500 Hz, all collisions, the same simulation that tasks run in. Commands are drawn uniformly from their whole range and
-redrawn every 4 s, worlds standing and walking by turns; arms move between random poses all the time, with a load of
-0 to 2 kg in each hand; errors count from 1.5 s after each redraw.
+redrawn every 4 s, worlds standing and walking by turns; arms move between random poses all the time, clear of the
+robot's own body, with a load of 0 to 2 kg in each hand; errors count from 1.5 s after each redraw.
 """
 
 import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gym_demohlm.control import command, reference
+from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import STEP_DT, Simulation
+from gym_demohlm.wbc.figure import Figure
 from gym_demohlm.wbc.trial import Disturbance, trial_simulation, trial_task
+from gym_demohlm.wbc.trial_commands import CommandRange, Driver
 
 REDRAW_S, SETTLE_S = 4.0, 1.5
 PUSH_EVERY_S, PUSH_SPEED = 3.0, 0.5  # s, m/s
@@ -33,85 +36,9 @@ ROBUSTNESS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommandRange:
-    """What commands are drawn from, uniformly; (low, high) each.
-
-    Attributes:
-        forward, sideways: [m/s].
-        yaw_rate: [rad/s].
-        height: Standing [m].
-        pitch, roll, yaw: Torso, standing [rad].
-        walking_height: [m].
-        walking_pitch: [rad].
-        arm_speed: [rad/s].
-    """
-
-    forward: tuple[float, float] = (-0.5, 0.8)
-    sideways: tuple[float, float] = (-0.4, 0.4)
-    yaw_rate: tuple[float, float] = (-1.0, 1.0)
-    height: tuple[float, float] = (0.40, 0.76)
-    pitch: tuple[float, float] = (-0.3, 1.2)
-    roll: tuple[float, float] = (-0.4, 0.4)
-    yaw: tuple[float, float] = (-1.0, 1.0)
-    walking_height: tuple[float, float] = (0.60, 0.76)
-    walking_pitch: tuple[float, float] = (-0.3, 0.3)
-    arm_speed: tuple[float, float] = (0.3, 3.0)
-
-    def velocity_only(self) -> "CommandRange":
-        """Return the range with its velocities alone: upright at rest height, arms still."""
-        height, zero = (g1.PELVIS_HEIGHT, g1.PELVIS_HEIGHT), (0.0, 0.0)
-        still = {name: zero for name in ("pitch", "roll", "yaw", "walking_pitch", "arm_speed")}
-        return replace(self, height=height, walking_height=height, **still)
-
-
-# Arm poses in front of and beside the body [rad]: shoulder pitch, roll, yaw, elbow, wrist roll, pitch, yaw; left arm.
-_ARM_LOW = np.array([-1.8, -0.1, -0.8, -0.9, -0.8, -0.8, -0.8])
-_ARM_HIGH = np.array([0.6, 1.2, 0.8, 1.5, 0.8, 0.8, 0.8])
-ARM_MIRROR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-
-
 BENCHMARK_TASK = trial_task()
 Maker = Callable[[int, Disturbance, int], Simulation]
 """Number of worlds, what disturbs them, threads of the physics -> worlds with a controller in them."""
-
-
-class _Driver:
-    """Draws commands and arm motions for all worlds."""
-
-    def __init__(self, ranges: CommandRange, num_worlds: int, rng: np.random.Generator) -> None:
-        self.ranges, self.rng = ranges, rng
-        self.walks = np.arange(num_worlds) % 2 == 0
-        self.commands = np.tile(command.rest(), (num_worlds, 1))
-        self._arm_goal = self.commands[:, command.ARMS].copy()
-        self._arm_speed = np.ones((num_worlds, 1))
-
-    def redraw(self) -> None:
-        """Draw new commands; worlds swap between standing and walking."""
-        rng, ranges, n = self.rng, self.ranges, len(self.commands)
-        self.walks = ~self.walks
-        walks = self.walks.astype(float)
-        draw = {name: rng.uniform(low, high, n) for name, (low, high) in vars(ranges).items()}
-        velocity = np.stack([draw["forward"], draw["sideways"], draw["yaw_rate"]], axis=1)
-        self.commands[:, command.VELOCITY] = velocity * walks[:, None]
-        self.commands[:, command.HEIGHT] = np.where(self.walks, draw["walking_height"], draw["height"])
-        self.commands[:, command.PITCH] = np.where(self.walks, draw["walking_pitch"], draw["pitch"])
-        self.commands[:, command.ROLL] = np.where(self.walks, 0.0, draw["roll"])
-        self.commands[:, command.YAW] = np.where(self.walks, 0.0, draw["yaw"])
-
-    def step(self) -> np.ndarray:
-        """Move the arms on and return the commands (N, 23)."""
-        rng, n = self.rng, len(self.commands)
-        fresh = rng.random(n) < 0.05
-        left = rng.uniform(_ARM_LOW, _ARM_HIGH, (n, 7))
-        right = rng.uniform(_ARM_LOW, _ARM_HIGH, (n, 7)) * ARM_MIRROR
-        speed = rng.uniform(*self.ranges.arm_speed, (n, 1))
-        self._arm_goal = np.where(fresh[:, None], np.concatenate([left, right], axis=1), self._arm_goal)
-        self._arm_speed = np.where(fresh[:, None], speed, self._arm_speed)
-        arms = self.commands[:, command.ARMS]
-        step = self._arm_speed * STEP_DT
-        self.commands[:, command.ARMS] = arms + np.clip(self._arm_goal - arms, -step, step)
-        return self.commands.copy()
 
 
 def tracked(simulation: Simulation) -> dict[str, np.ndarray]:
@@ -197,7 +124,8 @@ def measure(
     rng = np.random.default_rng(seed)
     n = simulation.num_worlds
     simulation.reset([simulation.task.default_state()] * n)
-    driver = _Driver(ranges or CommandRange(), n, rng)
+    figure = Figure(simulation.model, Weights().make_reference())
+    driver = Driver(ranges or CommandRange(), n, rng, figure)
     samples = Samples({}, np.ones(n, dtype=bool))
     redraw, settle, push = (round(span / STEP_DT) for span in (REDRAW_S, SETTLE_S, PUSH_EVERY_S))
     for step in range(round(seconds / STEP_DT)):

@@ -25,8 +25,9 @@ from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.rendering import Renderer
 from gym_demohlm.simulation import CONTROL_DT, STEP_DT, TICKS, Simulation
-from gym_demohlm.wbc.benchmark import ARM_MIRROR, push_robots, tracked
+from gym_demohlm.wbc.benchmark import push_robots, tracked
 from gym_demohlm.wbc.trial import trial_simulation, trial_task
+from gym_demohlm.wbc.trial_commands import ARM_MIRROR
 
 matplotlib.use("Agg")
 

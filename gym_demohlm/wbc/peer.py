@@ -32,6 +32,7 @@ from gym_demohlm.simulation import CONTROL_DT, Simulation, StepResult
 from gym_demohlm.task import InitialState
 from gym_demohlm.wbc import benchmark as ours
 from gym_demohlm.wbc.trial import Disturbance, trial_task
+from gym_demohlm.wbc.trial_commands import CommandRange
 
 PEERS = {"holosoma": "fastsac_g1_29dof.onnx", "holosoma-ppo": "ppo_g1_29dof.onnx"}
 """Name -> file in the package; the first is the one that the package runs by default."""
@@ -229,7 +230,7 @@ def benchmark(
     seconds: float,
     seed: int,
     num_threads: int = 2,
-    ranges: ours.CommandRange | None = None,
+    ranges: CommandRange | None = None,
     *,
     largest_hand_load: float = ours.LARGEST_HAND_LOAD,
     own_range: bool = False,
@@ -247,7 +248,7 @@ def benchmark(
         own_range: Draw velocities from the range that the peer was trained for.
     """
     policy = load_policy(name)
-    ranges = ranges or ours.CommandRange()
+    ranges = ranges or CommandRange()
     trained = {"forward": policy.forward, "sideways": policy.sideways, "yaw_rate": policy.yaw_rate}
     if own_range:
         ranges = replace(ranges, **trained)

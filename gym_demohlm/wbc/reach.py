@@ -13,22 +13,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.control import command, features, reference
+from gym_demohlm.control import command, reference
 from gym_demohlm.control.foresight import Foresight
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import STEP_DT, Simulation
+from gym_demohlm.wbc.figure import Figure
 from gym_demohlm.wbc.trial import trial_simulation
+from gym_demohlm.wbc.trial_commands import ARM_MIRROR
 
 # Arm poses in front of and beside the body [rad]: shoulder pitch, roll, yaw, elbow, wrist roll, pitch, yaw; left arm.
 _ARM_LOW = np.array([-2.2, -0.1, -0.8, -0.9, -0.8, -0.8, -0.8])
 _ARM_HIGH = np.array([0.6, 1.2, 0.8, 1.5, 0.8, 0.8, 0.8])
-_ARM_MIRROR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 _TORSO_LOW, _TORSO_HIGH = command.LOWER[command.TORSO], command.UPPER[command.TORSO]
 _WALKING_TORSO_LOW, _WALKING_TORSO_HIGH = np.array([0.64, 0.0, -0.2, 0.0]), np.array([0.74, 0.0, 0.3, 0.0])
 _NEAREST, _LOWEST = 0.15, 0.05  # m ahead of the soles, above the floor: where targets begin
@@ -66,50 +66,6 @@ class Reaches:
     fallen: np.ndarray
 
 
-class Figure:
-    """The robot as it stands when it obeys a command exactly.
-
-    Args:
-        model: Any model that contains the robot.
-        pose: The controller's reference.
-    """
-
-    def __init__(self, model: mujoco.MjModel, pose: reference.Reference) -> None:
-        self.model, self.data = model, mujoco.MjData(model)
-        self._reference = pose
-        self._joints = np.array([int(model.joint(f"{joint}_joint").qposadr[0]) for joint in g1.BODY_JOINTS])
-        self._base = int(model.joint(model.body("pelvis").jntadr[0]).qposadr[0])
-        self._soles = {index for index in range(model.ngeom) if "foot_point" in model.geom(index).name}
-
-    def stand(self, wanted: np.ndarray) -> np.ndarray:
-        """Obey a command (23,) with the soles' middle at the origin; return the palms' poses, (2, 4, 4)."""
-        data, base = self.data, self._base
-        at_rest = np.full(1, reference.REST_PHASES[0]), np.ones(1, dtype=bool), np.zeros((1, 2))
-        arms = wanted[command.ARMS]
-        moment = self._reference.arms_moment(wanted[None], arms[None, features.OBSERVED_ARM_INDEX])
-        data.qpos[self._joints] = np.concatenate([self._reference.pose(wanted[None], *at_rest, moment)[0], arms])
-        data.qpos[base : base + 7] = [0, 0, 0, 1, 0, 0, 0]
-        mujoco.mj_kinematics(self.model, data)
-        tilt = poses.rpy(data.site("left_sole").xmat.reshape(3, 3).T) * [1, 1, 0]  # the sole is level
-        R_world_pelvis = poses.rotation_from_rpy(tilt)
-        soles = np.mean([R_world_pelvis @ data.site(f"{side}_sole").xpos for side in g1.SIDES], axis=0)
-        data.qpos[base : base + 3] = [-soles[0], -soles[1], wanted[command.HEIGHT]]
-        data.qpos[base + 3 : base + 7] = poses.matrix_to_quat(R_world_pelvis)
-        mujoco.mj_kinematics(self.model, data)
-        palms = [data.site(f"{side}_palm") for side in g1.SIDES]
-        return np.stack([poses.from_rotation(palm.xmat.reshape(3, 3), palm.xpos) for palm in palms])
-
-    def pelvis(self) -> np.ndarray:
-        """Return the position of the pelvis, (3,) [m]."""
-        return self.data.qpos[self._base : self._base + 3].copy()
-
-    def collides(self) -> bool:
-        """Return whether anything but the soles touches anything."""
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_collision(self.model, self.data)
-        return any(not self._soles & {contact.geom1, contact.geom2} for contact in self.data.contact)
-
-
 def draw_targets(
     figure: Figure, count: int, rng: np.random.Generator, *, walking: bool = False, candidates: int = 3000
 ) -> np.ndarray:
@@ -131,7 +87,7 @@ def draw_targets(
     for _ in range(candidates):
         wanted[command.TORSO] = rng.uniform(low, high)
         wanted[command.LEFT_ARM] = rng.uniform(_ARM_LOW, _ARM_HIGH)
-        wanted[command.RIGHT_ARM] = rng.uniform(_ARM_LOW, _ARM_HIGH) * _ARM_MIRROR
+        wanted[command.RIGHT_ARM] = rng.uniform(_ARM_LOW, _ARM_HIGH) * ARM_MIRROR
         palms = figure.stand(wanted)
         ahead = (palms[:, 0, 3] > _NEAREST).all() and (palms[:, 2, 3] > _LOWEST).all()
         if ahead and not figure.collides():
