@@ -75,7 +75,7 @@ class IKSettings:
     arm_position_weight: float = 50.0
     torso_orientation_weight: float = 0.05
     arm_orientation_weight: float = 0.5
-    height_weight: float = 0.15
+    height_weight: float = 0.5
     pitch_weight: float = 0.05
     yaw_weight: float = 0.1
     roll_weight: float = 1.0

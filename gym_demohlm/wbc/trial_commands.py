@@ -94,7 +94,7 @@ class Driver:
         return self.commands.copy()
 
     def _draw_arms(self, world: int, before: np.ndarray) -> None:
-        """Draw where the arms of a world go while its posture changes from that of a command (23,) to what it is now."""
+        """Draw where the arms of a world go while its posture changes from that of a command (23,) to the new one."""
         rng, wanted = self.rng, self.commands[world]
         if self.ranges.arm_speed[1] == 0.0:
             return
