@@ -7,7 +7,7 @@ import argparse
 import json
 import subprocess
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +209,78 @@ def _time(lines: list[Line]) -> str:
     return "**Time to generate**\n\n" + _table(header, rows)
 
 
+def _rate(ours: str, theirs: str, ratio: str) -> Callable[[Line], tuple[str, str, str]]:
+    """Return what picks a rate, the one beside it and their ratio from a line."""
+    return lambda line: (f"{line[ours]:,}", f"{line[theirs]:,}", f"{line[ratio]:g}")
+
+
+_SPEED: dict[str, tuple[str, str, Callable[[Line], tuple[str, str, str]]]] = {
+    "simulation": (
+        "physics steps a second, controller and sensors included",
+        "bare `mj_step`, same model, states and threads",
+        _rate("steps_per_s", "mj_steps_per_s", "step_efficiency"),
+    ),
+    "dataset": (
+        "state-only episodes written a second",
+        "LeRobot's `save_episode`",
+        _rate("episodes_per_s", "lerobot_episodes_per_s", "write_speedup"),
+    ),
+    "memory": (
+        "MiB held by the process that merges a run",
+        "after a tenth of its episodes",
+        lambda line: (
+            f"{line['rss_after_all_mb']} after {line['run_episodes']} episodes",
+            f"{line['rss_after_a_tenth_mb']}",
+            f"{line['rss_after_all_mb'] / line['rss_after_a_tenth_mb']:.2f}",
+        ),
+    ),
+    "loading": (
+        "training samples a second (chunk 20, batch 512)",
+        "`LeRobotDataset`",
+        _rate("memory_samples_per_s", "lerobot_samples_per_s", "ratio"),
+    ),
+    "evaluation": (
+        "rollouts an hour",
+        "`lerobot-eval`",
+        _rate("rollouts_per_hour", "lerobot_rollouts_per_hour", "ratio"),
+    ),
+}
+
+
+def _speed(lines: list[Line]) -> str:
+    latest = {line["benchmark"]: line for line in lines}
+    rows = []
+    for name, (what, beside, pick) in _SPEED.items():
+        if name in latest:
+            ours, theirs, ratio = pick(latest[name])
+            rows.append([what, ours, f"{theirs} ({beside})", ratio])
+    return "**Speed**, both measured by turns in one run\n\n" + _table(["", "ours", "beside", "ratio"], rows)
+
+
+def _workers(lines: list[Line]) -> str:
+    latest = lines[-1]
+    rows = [
+        [
+            f"{run['workers']}, {run['backend']}",
+            f"{run['attempts_per_hour']:,}",
+            "yes" if run["same"] else "**no**",
+        ]
+        for run in latest["runs"]
+    ]
+    what = f"{latest['attempts']} attempts at {latest['task']} in {latest['region']}, {latest['files']} files"
+    header = ["workers", "attempts an hour", "every file as with one worker"]
+    return f"**The same data whatever the workers**: {what}\n\n" + _table(header, rows)
+
+
+def _faults(lines: list[Line]) -> str:
+    rows = [
+        [entry["fault"], str(entry["tried"] or entry["note"]), str(entry["survived"]), str(entry["lost"])]
+        for entry in lines[-1]["faults"]
+    ]
+    title = "**Faults** during generation; survived is what in the end made, byte for byte, the dataset of a calm run"
+    return f"{title}\n\n" + _table(["fault", "tried", "survived", "lost"], rows)
+
+
 _SECTIONS = (
     ("generation.jsonl", _generation),
     ("generation.jsonl", regions_table),
@@ -217,6 +289,9 @@ _SECTIONS = (
     ("policies.jsonl", _policies),
     ("controller.jsonl", _controller),
     ("robustness.jsonl", _robustness),
+    ("speed.jsonl", _speed),
+    ("workers.jsonl", _workers),
+    ("faults.jsonl", _faults),
 )
 
 

@@ -49,6 +49,23 @@ def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
     assert "| height error, standing | 0.080 m | - | 0.028 m |" in text
 
 
+def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
+    speed = {"episodes_per_s": 110.0, "lerobot_episodes_per_s": 5.0, "write_speedup": 22.0, "benchmark": "dataset"}
+    memory = {"benchmark": "memory", "run_episodes": 50, "rss_after_a_tenth_mb": 500, "rss_after_all_mb": 505}
+    for line in (speed, memory):
+        results.append(tmp_path / "speed.jsonl", "demohlm benchmark dataset", line)
+    runs = [{"backend": "ray", "workers": 2, "attempts_per_hour": 5000, "same": same} for same in (True, False)]
+    compared = {"task": "LiftBox", "region": "R3", "attempts": 64, "files": 9, "runs": runs}
+    results.append(tmp_path / "workers.jsonl", "python benchmarks/workers.py", compared)
+    fault = {"fault": "kill -9", "tried": 50, "survived": 49, "lost": 1, "note": ""}
+    results.append(tmp_path / "faults.jsonl", "python benchmarks/faults.py", {"faults": [fault]})
+    text = results.tables(tmp_path)
+    assert "| state-only episodes written a second | 110.0 | 5.0 (LeRobot's `save_episode`) | 22 |" in text
+    assert "| 505 after 50 episodes | 500 (after a tenth of its episodes) | 1.01 |" in text
+    assert "| 2, ray | 5,000 | yes |" in text and "| 2, ray | 5,000 | **no** |" in text
+    assert "| kill -9 | 50 | 49 | 1 |" in text
+
+
 def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
     with pytest.raises(DatasetError, match=r"generation\.jsonl:2"):
