@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm.control import leg_ik
-from gym_demohlm.control.arm_load import ArmLoad
+from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.robot import g1
 
 CONTROL_DT = 0.02  # s: 50 Hz
@@ -64,7 +64,6 @@ LATERAL_SHIFT = 0.062  # m of pelvis shift for a sideways lean of the torso of s
 TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
 # rad per Nm of arms held out ahead, hip pitch, knee, ankle pitch: a leg bears half, its knee is half-way to the ankle.
 _ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
-GRAVITY = 9.81  # m/s2
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
 _WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
@@ -220,6 +219,14 @@ def waist_angles(
     return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
 
 
+def in_torso(v: np.ndarray, waist: np.ndarray) -> np.ndarray:
+    """Turn vectors (N, 3) from the pelvis frame into that of the torso; waist (N, 3) is yaw, roll, pitch [rad]."""
+    (x, y, z), (yaw, roll, pitch) = v.T, np.ascontiguousarray(waist.T)
+    x, y = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+    y, z = np.cos(roll) * y + np.sin(roll) * z, np.cos(roll) * z - np.sin(roll) * y
+    return np.stack([np.cos(pitch) * x - np.sin(pitch) * z, y, np.cos(pitch) * z + np.sin(pitch) * x], axis=1)
+
+
 def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return which feet should be in the air (N, 2) bool and how high their soles should be (N, 2) [m]; left, right."""
     own = (phase[:, None] + np.array([0.0, 0.5])) % 1.0
@@ -274,23 +281,30 @@ class Reference:
         low, high = a + v * (b - a), c + v * (d - c)
         return low + u * (high - low), (high - low) * rows, ((b - a) + u * (d - c - b + a)) * columns
 
-    def arms_moment(self, command: np.ndarray, arms: np.ndarray) -> np.ndarray:
-        """Return the moment [kg m] that the arms add to what they have at home, seen along the torso's yaw.
+    def arms_moment(self, command: np.ndarray, arms: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        """Return the moment [kg m] that arms and loads add to empty arms at home, seen along the torso's yaw.
 
         Args:
             command: (N, 7 or more), of which the torso's roll and pitch count.
             arms: (N, 8) the arms' joint targets but the wrists' [rad].
+            carried: (N, 2) in the left and the right hand [kg].
 
         Returns:
             (N, 2) ahead and to the left.
         """
         roll, pitch = np.ascontiguousarray(command[:, 4:6].T)
-        x, y, z = np.ascontiguousarray(self.arm_load(arms).T)
+        x, y, z = np.ascontiguousarray(self.arm_load(arms, carried).T)
         across = np.sin(roll) * y + np.cos(roll) * z
         return np.stack([np.cos(pitch) * x + np.sin(pitch) * across, np.cos(roll) * y - np.sin(roll) * z], axis=1)
 
     def __call__(
-        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, arms: np.ndarray
+        self,
+        command: np.ndarray,
+        phase: np.ndarray,
+        standing: np.ndarray,
+        velocity: np.ndarray,
+        arms: np.ndarray,
+        carried: np.ndarray,
     ) -> np.ndarray:
         """Return the joint targets of legs and waist, ``pose`` and ``sag``, (N, 15) [rad].
 
@@ -300,8 +314,9 @@ class Reference:
             standing: As in ``pose``.
             velocity: As in ``pose``.
             arms: (N, 8) the arms' joint targets but the wrists' [rad].
+            carried: (N, 2) in the left and the right hand [kg].
         """
-        moment = self.arms_moment(command, arms)
+        moment = self.arms_moment(command, arms, carried)
         return self.pose(command, phase, standing, velocity, moment) + self.sag(command, phase, standing, moment)
 
     def pose(

@@ -17,15 +17,18 @@ from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
-WEIGHTS_FORMAT = 3
+WEIGHTS_FORMAT = 4
 _BLOCK = 16
 _ONE_THREAD_PRODUCT = 262144  # multiplications
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 _SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
 _CLOCK = _SLEWED.stop
 _VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
-STATE_SIZE = _VELOCITY.stop  # history, last action, slewed command, phase, stopped, standing, odometry
+_ARM_TARGETS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
+_CARRIED = slice(_ARM_TARGETS.stop, _ARM_TARGETS.stop + 2)
+STATE_SIZE = _CARRIED.stop  # history, last action, slewed command, phase, stopped, standing, odometry, arms, loads
 _LEGS = len(g1.LEG_JOINTS)
+_ARM_POSITIONS = reference.NUM_LOWER + features.OBSERVED_ARM_INDEX
 
 
 class Weights:
@@ -121,6 +124,7 @@ class WholeBodyController:
         state[:, :_HISTORY] = np.tile(frame, (1, features.HISTORY))
         state[:, _SLEWED] = command.rest()[:7]
         state[:, _CLOCK : _CLOCK + 3] = [reference.REST_PHASES[0], 2.0, 1.0]
+        state[:, _ARM_TARGETS] = q[:, _ARM_POSITIONS]
         self.state[worlds] = state
 
     def step(
@@ -152,8 +156,17 @@ class WholeBodyController:
         history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], frame], axis=1)
         current, stands = state[:, _SLEWED], state[:, _CLOCK + 2] > 0.5
         slewed = reference.slew(current, reference.admissible(commands, current, stands))
-        velocity, sole_tilt = odometry.estimate(features.gravity(quat_wxyz), gyro, q[:, :_LEGS], dq[:, :_LEGS])
+        down = features.gravity(quat_wxyz)
+        velocity, sole_tilt = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
         velocity = odometry.smooth(state[:, _VELOCITY], velocity)
+        carried = self.reference.arm_load.weigh(
+            state[:, _CARRIED],
+            state[:, _ARM_TARGETS],
+            q[:, _ARM_POSITIONS],
+            dq[:, _ARM_POSITIONS],
+            reference.in_torso(down, q[:, _LEGS : reference.NUM_LOWER]),
+            reference.CONTROL_DT,
+        )
         phase, stopped, standing = reference.advance_clock(
             state[:, _CLOCK],
             state[:, _CLOCK + 1],
@@ -162,20 +175,20 @@ class WholeBodyController:
             reference.startled(velocity, sole_tilt),
         )
         arms = commands[:, command.ARMS]
+        most_arms = arms[:, features.OBSERVED_ARM_INDEX]
         observed = features.observation(
             history.reshape(rows, features.HISTORY, features.FRAME_SIZE),
             state[:, _HISTORY : _HISTORY + features.ACTION_SIZE],
-            arms[:, features.OBSERVED_ARM_INDEX],
+            most_arms,
             slewed,
             phase,
             standing,
             velocity,
         )
         action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
-        self.state[chosen] = np.concatenate(
-            [history, action, slewed, np.stack([phase, stopped, standing.astype(np.float64)], axis=1), velocity], axis=1
-        )
-        lower = self.reference(slewed, phase, standing, velocity, arms[:, features.OBSERVED_ARM_INDEX])
+        clock = np.stack([phase, stopped, standing.astype(np.float64)], axis=1)
+        self.state[chosen] = np.concatenate([history, action, slewed, clock, velocity, most_arms, carried], axis=1)
+        lower = self.reference(slewed, phase, standing, velocity, most_arms, carried)
         lower += action * features.ACTION_SCALE
         return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
 

@@ -12,7 +12,7 @@ from rsl_rl.modules import EmpiricalNormalization
 from gym_demohlm.control import features, reference
 from gym_demohlm.robot import g1
 
-FORMAT = 3
+FORMAT = 4
 
 
 def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts: dict[str, Any]) -> None:

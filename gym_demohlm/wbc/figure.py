@@ -28,7 +28,7 @@ class Figure:
         data, base = self.data, self._base
         at_rest = np.full(1, reference.REST_PHASES[0]), np.ones(1, dtype=bool), np.zeros((1, 2))
         arms = wanted[command.ARMS]
-        moment = self._reference.arms_moment(wanted[None], arms[None, features.OBSERVED_ARM_INDEX])
+        moment = self._reference.arms_moment(wanted[None], arms[None, features.OBSERVED_ARM_INDEX], np.zeros((1, 2)))
         data.qpos[self._joints] = np.concatenate([self._reference.pose(wanted[None], *at_rest, moment)[0], arms])
         data.qpos[base : base + 7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(self.model, data)

@@ -115,6 +115,7 @@ class WholeBodyMdp:
         self.privileged = np.zeros((n, _PRIVILEGED))
         self._mean_error = np.zeros((n, 3))
         self.velocity, self.startled = np.zeros((n, 2)), np.zeros(n, dtype=bool)
+        self.carried = np.zeros((n, 2))
         self._delay, self._targets = np.zeros(n, dtype=int), np.zeros((n, _JOINTS))
         self.ticks = np.zeros(n, dtype=int)
         self.tracking: dict[str, float] = {}
@@ -142,7 +143,7 @@ class WholeBodyMdp:
         self.phase[worlds] = self.rng.choice(reference.REST_PHASES, count)
         self.stopped[worlds] = np.where(walk, 0.0, 2.0)
         self.standing[worlds] = ~walk
-        moment = self.reference.arms_moment(command, self.commands.arms[worlds])
+        moment = self.reference.arms_moment(command, self.commands.arms[worlds], np.zeros((count, 2)))
         at_rest = np.ones(count, dtype=bool), np.zeros((count, 2))
         targets = self.reference.pose(command, self.phase[worlds], *at_rest, moment)
         lean, _ = reference.lean(command[:, 4], command[:, 5], command[:, 6])
@@ -154,7 +155,7 @@ class WholeBodyMdp:
         qpos[:, 7:] = np.clip(joints + self.rng.normal(0, 0.03, joints.shape), self._lower, self._upper)
         self._targets[worlds] = np.clip(joints, self._lower, self._upper)
         self._delay[worlds] = self.rng.integers(0, self.config.largest_delay + 1, count)
-        self.velocity[worlds], self.startled[worlds] = 0.0, False
+        self.velocity[worlds], self.startled[worlds], self.carried[worlds] = 0.0, False, 0.0
         self._state[worlds] = 0
         self.qpos[worlds] = qpos
         self.qvel[worlds] = self.rng.normal(0, 0.1, (count, 6 + _JOINTS))
@@ -191,7 +192,14 @@ class WholeBodyMdp:
         )
         targets = np.concatenate(
             [
-                self.reference(self.commands.current, self.phase, self.standing, self.velocity, self.commands.arms)
+                self.reference(
+                    self.commands.current,
+                    self.phase,
+                    self.standing,
+                    self.velocity,
+                    self.commands.arms,
+                    self.carried,
+                )
                 + actions * features.ACTION_SCALE,
                 self.commands.arms,
             ],
@@ -222,7 +230,16 @@ class WholeBodyMdp:
         qpos, qvel = self.qpos, self.qvel
         frame = features.frame(qpos[:, 3:7], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
         legs, leg_rates = qpos[:, 7 : 7 + _LEGS], qvel[:, 6 : 6 + _LEGS]
-        velocity, sole_tilt = odometry.estimate(features.gravity(qpos[:, 3:7]), qvel[:, 3:6], legs, leg_rates)
+        down = features.gravity(qpos[:, 3:7])
+        velocity, sole_tilt = odometry.estimate(down, qvel[:, 3:6], legs, leg_rates)
+        self.carried = self.reference.arm_load.weigh(
+            self.carried,
+            self._targets[:, reference.NUM_LOWER :],
+            qpos[:, 7 + reference.NUM_LOWER :],
+            qvel[:, 6 + reference.NUM_LOWER :],
+            reference.in_torso(down, qpos[:, 7 + _LEGS : 7 + reference.NUM_LOWER]),
+            reference.CONTROL_DT,
+        )
         self.velocity = odometry.smooth(self.velocity, velocity)
         self.startled = reference.startled(self.velocity, sole_tilt)
         self.history = np.concatenate([self.history[:, 1:], frame[:, None]], axis=1)

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.control import features
+from gym_demohlm.control.arm_load import HAND
 from gym_demohlm.robot import g1
 
 TRAINING_DT = 0.005  # s: four steps a control tick, where the deployment model takes ten
@@ -49,7 +50,7 @@ def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
 def _randomise(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
     for side in g1.SIDES:
         mass = rng.uniform(0.01, 0.2) if rng.random() < 0.5 else rng.uniform(0.2, 2.2)
-        g1.add_load(spec, f"{side}_wrist_yaw_link", mass, (0.1, 0.0, 0.0))
+        g1.add_load(spec, f"{side}_wrist_yaw_link", mass, HAND)
     torso = spec.body("torso_link")
     torso.mass += rng.uniform(-0.8, 0.8) if rng.random() < 0.7 else rng.uniform(0.8, 3.2)
     torso.ipos = torso.ipos + rng.uniform(-0.025, 0.025, 3)

@@ -94,21 +94,22 @@ def _best_stance(
 
 
 def arm_table() -> np.ndarray:
-    """Return the first moment of the left arm's mass [kg m] as coefficients of ``arm_load.basis``, (81, 3)."""
+    """Return what ``ArmLoad`` takes: moment of the left arm and place of its hand as coefficients, (81, 6)."""
     figure, rng = _Figure(), np.random.default_rng(0)
     model, data = figure.model, figure.data
     joints = rng.uniform(-np.pi, np.pi, (4 * arm_load.TABLE_SHAPE[0], arm_load.NUM_JOINTS))
     first = g1.BODY_JOINTS.index("left_shoulder_pitch")
     address = figure.address[first : first + arm_load.NUM_JOINTS]
-    shoulder = model.body("left_shoulder_pitch_link").id
-    moments = np.zeros((len(joints), 3))
+    shoulder, hand = model.body("left_shoulder_pitch_link").id, data.body("left_wrist_yaw_link")
+    torso, rows = data.body("torso_link"), np.zeros((len(joints), arm_load.TABLE_SHAPE[1]))
     figure.pose(g1.PELVIS_HEIGHT, 0.0, 0.0, (0.0, 0.0, 0.0))
     for row, angles in enumerate(joints):
         data.qpos[address] = angles
         mujoco.mj_forward(model, data)
-        lever = data.subtree_com[shoulder] - data.body("torso_link").xpos
-        moments[row] = model.body_subtreemass[shoulder] * (lever @ data.body("torso_link").xmat.reshape(3, 3))
-    return np.linalg.lstsq(arm_load.basis(joints), moments, rcond=None)[0]
+        points = np.stack([data.subtree_com[shoulder], hand.xpos + hand.xmat.reshape(3, 3) @ arm_load.HAND])
+        moment, place = (points - torso.xpos) @ torso.xmat.reshape(3, 3)
+        rows[row] = [*(model.body_subtreemass[shoulder] * moment), *place]
+    return np.linalg.lstsq(arm_load.basis(joints), rows, rcond=None)[0]
 
 
 def torso_load() -> tuple[float, float]:

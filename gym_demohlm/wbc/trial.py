@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gym_demohlm.control.arm_load import HAND
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -99,7 +100,7 @@ def _builder(disturbance: Disturbance) -> Callable[[mujoco.MjSpec], None]:
         spec.worldbody.add_body(name="beacon", pos=[5.0, 0.0, 1.0], mocap=True)
         for side, mass in zip(g1.SIDES, disturbance.hand_loads, strict=True):
             if mass > 0:
-                g1.add_load(spec, f"{side}_wrist_yaw_link", mass, (0.1, 0.0, 0.0))
+                g1.add_load(spec, f"{side}_wrist_yaw_link", mass, HAND)
         if disturbance.torso_load > 0:
             g1.add_load(spec, "torso_link", disturbance.torso_load, (-0.1, 0.0, 0.2))
         if disturbance.friction is not None:
