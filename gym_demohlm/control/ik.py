@@ -206,7 +206,10 @@ class _Pass:
         p_world_head: np.ndarray | None,
         base: np.ndarray,
     ) -> np.ndarray:
-        """Solve one linearised problem for the change of the joints, with which the base moves by `base` (3, n)."""
+        """Solve one linearised problem for the change of the joints, with which the base moves by `base` (3, n).
+
+        Most have their solution inside the bounds, where no solver for bounds is needed.
+        """
         errors = self.errors(targets) * self.hand_scale
         # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
         damping = self.settings.regularization + self.settings.error_damping * (errors**2).sum()
@@ -223,9 +226,13 @@ class _Pass:
             jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns] + base
             rows.append(scale * jacobian)
             values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
+        A, b = np.concatenate(rows), np.concatenate(values)
+        free = np.linalg.solve(A.T @ A, A.T @ b)
+        if (free <= upper - q).all() and (free >= lower - q).all():
+            return free
         problem, residual = placo.Problem(), placo.Expression()
         change = problem.add_variable(len(q))
-        residual.A, residual.b = np.concatenate(rows), -np.concatenate(values)
+        residual.A, residual.b = A, -b
         # placo's comparisons make constraints, which its type stubs do not say.
         problem.add_constraint(residual == 0.0).configure("soft", 1.0)  # pyright: ignore[reportArgumentType]
         problem.add_constraint(change.expr() <= upper - q)  # pyright: ignore[reportArgumentType]
