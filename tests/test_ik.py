@@ -144,7 +144,7 @@ def test_targets_in_reach_are_reached(ik: WholeBodyIK, x: float, z: float) -> No
     for palm, target in zip(who.palms(), targets, strict=True):
         assert np.linalg.norm(palm[:3, 3] - target[:3, 3]) < 0.005
         assert np.trace(palm[:3, :3].T @ target[:3, :3]) > 1 + 2 * np.cos(np.radians(3))
-    assert solution.position_error.max() < 0.005 and solution.planned_position_error.max() < 0.01
+    assert solution.position_error.max() < 0.005 and solution.planned_position_error.max() < 0.015
 
 
 def test_place_and_heading_of_the_robot_do_not_matter(ik: WholeBodyIK) -> None:
