@@ -10,15 +10,18 @@ from gym_demohlm.wbc import quasi_static
 
 
 @pytest.fixture(scope="module")
-def tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tables() -> tuple[np.ndarray, np.ndarray]:
     return quasi_static.tables()
 
 
 class _Model:
     """The bare robot, posed by joint names."""
 
-    def __init__(self) -> None:
-        self.model = g1.load_body_spec().compile()
+    def __init__(self, *loads: float) -> None:
+        spec = g1.load_body_spec()
+        for side, load in zip(g1.SIDES, loads, strict=False):
+            g1.add_load(spec, f"{side}_wrist_yaw_link", load, arm_load.HAND)
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._address = [self.model.joint(f"{joint}_joint").qposadr[0] for joint in g1.BODY_JOINTS]
 
@@ -71,15 +74,58 @@ def test_arm_load_is_the_first_moment_of_the_models_arms(tables: tuple[np.ndarra
     at_home = moment(g1.HOME[15:][features.OBSERVED_ARM_INDEX])
     for _ in range(20):
         arms = _random_arms(rng)
-        np.testing.assert_allclose(load(arms[None])[0], moment(arms) - at_home, atol=2e-3)  # kg m
+        np.testing.assert_allclose(load(arms[None], np.zeros((1, 2)))[0], moment(arms) - at_home, atol=2e-3)  # kg m
 
 
 def test_arm_load_has_the_same_bits_alone_and_in_a_batch(tables: tuple[np.ndarray, ...]) -> None:
     load, rng = arm_load.ArmLoad(tables[1]), np.random.default_rng(1)
     arms = np.stack([_random_arms(rng) for _ in range(37)])
-    together = load(arms)
+    carried, down = rng.uniform(0, 2, (37, 2)), np.tile([[0.1, 0.2, -0.97]], (37, 1))
+    together = load(arms, carried)
+    weighed = load.weigh(carried, arms + 0.05, arms, 0.1 * arms, down, 0.02)
     for row, alone in enumerate(arms):
-        assert load(alone[None])[0].tobytes() == together[row].tobytes()
+        one = slice(row, row + 1)
+        assert load(alone[None], carried[one])[0].tobytes() == together[row].tobytes()
+        found = load.weigh(carried[one], alone[None] + 0.05, alone[None], 0.1 * alone[None], down[one], 0.02)
+        assert found[0].tobytes() == weighed[row].tobytes()
+
+
+def test_servos_weigh_what_the_hands_carry(tables: tuple[np.ndarray, ...]) -> None:
+    true = np.array([[1.7, 0.4]])
+    load, model, rng = arm_load.ArmLoad(tables[1]), _Model(*true[0]), np.random.default_rng(3)
+    told = []
+    for _ in range(20):
+        joints, arms = g1.HOME.copy(), _random_arms(rng)
+        joints[15 + features.OBSERVED_ARM_INDEX] = arms
+        joints[12:15] = rng.uniform([-0.5, -0.3, -0.3], [0.5, 0.3, 0.4])
+        data = model.pose(joints, *rng.uniform([-0.1, -0.2], [0.6, 0.2]))
+        stiffness = np.array([g1.motor(joint).stiffness for joint in features.OBSERVED_ARM_JOINTS])
+        dofs = [model.model.joint(f"{joint}_joint").dofadr[0] for joint in features.OBSERVED_ARM_JOINTS]
+        targets = arms + data.qfrc_bias[dofs] / stiffness  # what the servos give under the weight
+        down_pelvis = -data.body("pelvis").xmat.reshape(3, 3)[2]
+        down = reference.in_torso(down_pelvis[None], joints[None, 12:15])
+        np.testing.assert_allclose(down[0], -data.body("torso_link").xmat.reshape(3, 3)[2], atol=1e-9)
+        found = np.zeros((1, 2))
+        for _ in range(400):
+            found = load.weigh(found, targets[None], arms[None], np.zeros((1, 8)), down, 0.02)
+        told.append((found - true)[0])
+    assert np.median(np.abs(told), axis=0).max() < 0.01  # kg
+    assert np.max(told) < 0.01  # an arm that hangs straight down says little, but nothing that is not there
+
+
+def test_loads_move_the_weight_that_is_counted(tables: tuple[np.ndarray, ...]) -> None:
+    load, rng = arm_load.ArmLoad(tables[1]), np.random.default_rng(4)
+    empty, full = _Model(), _Model(1.5, 0.5)
+    for _ in range(10):
+        joints, arms = g1.HOME.copy(), _random_arms(rng)
+        joints[15 + features.OBSERVED_ARM_INDEX] = arms
+        moments = []
+        for model in (empty, full):
+            data = model.pose(joints)
+            mass = model.model.body_subtreemass[1]
+            moments.append(mass * (data.subtree_com[1] - data.body("torso_link").xpos))
+        found = load(arms[None], np.array([[1.5, 0.5]])) - load(arms[None], np.zeros((1, 2)))
+        np.testing.assert_allclose(found[0], moments[1] - moments[0], atol=0.01)  # kg m
 
 
 def test_reference_keeps_the_weight_over_the_soles_wherever_torso_and_arms_are(tables: tuple[np.ndarray, ...]) -> None:
@@ -93,7 +139,7 @@ def test_reference_keeps_the_weight_over_the_soles_wherever_torso_and_arms_are(t
         ahead, right = reference.lean(*command[:, 4:7].T)
         _, tilt, _ = pose.statics(command[:, 3], ahead)
         (tilt,), (bank,) = reference.pelvis_attitude(ahead, right, tilt)
-        moment = pose.arms_moment(command, arms[None])
+        moment = pose.arms_moment(command, arms[None], np.zeros((1, 2)))
         offsets = []
         for counted in (moment, 0 * moment):
             joints = g1.HOME.copy()

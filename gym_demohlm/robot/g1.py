@@ -164,6 +164,7 @@ def add_load(spec: mujoco.MjSpec, body: str, mass: float, position: tuple[float,
         position: In the body's frame [m].
     """
     load = spec.body(body).add_body(pos=position, mass=mass, explicitinertial=True)
+    load.ipos = (0.0, 0.0, 0.0)  # else it would be the body's own place once more
     load.inertia = np.full(3, 0.4 * mass * 0.03**2)  # a ball of 3 cm
 
 
