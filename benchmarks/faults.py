@@ -215,9 +215,10 @@ def interrupt(bench: Bench, times: int) -> Tally:
             bench.finish(process)
             continue
         os.killpg(process.pid, signal.SIGINT)
-        ended, before = bench.finish(process), blocks(root)
+        (code, messages), before = bench.finish(process), blocks(root)
         tried += 1
-        survived += is_clear(*ended, 130, "the same command goes on") and bench.ends_well(root)
+        code = 130 if code == -signal.SIGINT else code  # a shell cannot tell them apart
+        survived += is_clear(code, messages, 130, "the same command goes on") and bench.ends_well(root)
         lost += missing(before, root)
     return Tally(fault="Ctrl-C", tried=tried, survived=survived, lost=lost)
 
@@ -378,6 +379,7 @@ def main() -> None:
     parser.add_argument("--num-workers", type=int, default=2)
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)  # blocks that are made again, in this process
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what is in the background without it
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(Path(scratch), arguments.num_attempts, arguments.num_workers)

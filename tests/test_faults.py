@@ -210,9 +210,8 @@ def test_ctrl_c_says_what_is_kept(
     command = ["generate", "--task", "LiftBox", "--num-attempts", "20", "--root", str(tmp_path / "data")]
     assert cli.main(command) == cli.INTERRUPTED
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(
-        f"interrupted: {runner.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}; the same command"
-    )
+    kept = f"{runner.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"
+    assert last.startswith(f"interrupted: {kept}; the same command")
     assert len(list((tmp_path / "data.partial" / "blocks").iterdir())) == 1
 
 
