@@ -59,8 +59,10 @@ def test_benchmark_reports_every_number() -> None:
 @pytest.mark.parametrize("num_processes", [1, 2])
 def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     train = pytest.importorskip("gym_demohlm.wbc.train")
-    mdp = train.MdpConfig(num_worlds=8, num_variants=1)
-    config = train.TrainConfig(mdp=mdp, num_processes=num_processes, save_every=1, level_every=1)
+    from gym_demohlm.wbc.train_config import MdpConfig, TrainConfig
+
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, num_processes=num_processes, save_every=1, level_every=1)
     train.train(tmp_path / "run", config, hours=2 / 3600)
     lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
     assert json.loads(lines[-1])["steps"] == len(lines) * 24 * 8 * num_processes

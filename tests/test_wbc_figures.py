@@ -11,62 +11,62 @@ from PIL import Image
 from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.simulation import CONTROL_DT
-from gym_demohlm.wbc import figures
+from gym_demohlm.wbc import benchmark, figures, performance
 
 _SHORT = (
-    figures.Scene(label="stand", seconds=0.4),
-    figures.Scene(label="arms", seconds=0.6, arms=(-1.0, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0)),
-    figures.Scene(label="push", seconds=0.2, push=(0.0, 0.3)),
+    performance.Scene(label="stand", seconds=0.4),
+    performance.Scene(label="arms", seconds=0.6, arms=(-1.0, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0)),
+    performance.Scene(label="push", seconds=0.2, push=(0.0, 0.3)),
 )
 
 
 @pytest.fixture(scope="module")
-def performed() -> tuple[figures._Recorder, figures.Take]:
-    recorder = figures._Recorder(None)
-    return recorder, figures.perform(recorder, _SHORT)
+def performed() -> tuple[performance.Recorder, performance.Take]:
+    recorder = performance.Recorder(None)
+    return recorder, performance.perform(recorder, _SHORT)
 
 
-def test_a_take_holds_every_control_tick(performed: tuple[figures._Recorder, figures.Take]) -> None:
+def test_a_take_holds_every_control_tick(performed: tuple[performance.Recorder, performance.Take]) -> None:
     _, take = performed
     assert not take.fell
     assert len(take.labels) == len(take.commands) == len(take.states) == 60
     np.testing.assert_allclose(np.diff(take.states[:, 0]), CONTROL_DT, atol=1e-9)
     arms = take.commands[:, command.ARMS]
     fastest = np.abs(np.diff(arms, axis=0)).max() / CONTROL_DT
-    assert fastest == pytest.approx(figures.ARM_SPEED, rel=1e-6)
+    assert fastest == pytest.approx(performance.ARM_SPEED, rel=1e-6)
     assert arms[49, 0] == pytest.approx(-1.0)  # shoulder pitch, both sides
     assert arms[49, 7] == pytest.approx(-1.0)
     assert arms[49, 1] == pytest.approx(-arms[49, 8])  # shoulder roll is mirrored
 
 
-def test_the_push_changes_the_velocity_at_once(performed: tuple[figures._Recorder, figures.Take]) -> None:
+def test_the_push_changes_the_velocity_at_once(performed: tuple[performance.Recorder, performance.Take]) -> None:
     recorder, take = performed
     sideways = []
     for tick in (49, 50):
         recorder.show(take.states[tick])
-        sideways.append(figures.tracked(recorder)["sideways"][0])
+        sideways.append(benchmark.tracked(recorder)["sideways"][0])
     assert sideways[1] - sideways[0] > 0.15
 
 
 def test_every_command_of_the_script_is_admissible_and_all_are_used() -> None:
     used = set()
-    for scene in figures.SCRIPT:
+    for scene in performance.SCRIPT:
         for column, value in scene.told.items():
             assert command.LOWER[column] <= value <= command.UPPER[column]
             used.add(column)
     assert used == set(range(7))
-    assert any(scene.arms for scene in figures.SCRIPT)
-    assert any(any(scene.push) for scene in figures.SCRIPT)
+    assert any(scene.arms for scene in performance.SCRIPT)
+    assert any(any(scene.push) for scene in performance.SCRIPT)
 
 
-def test_tracking_figure_and_film(performed: tuple[figures._Recorder, figures.Take], tmp_path: Path) -> None:
+def test_tracking_figure_and_film(performed: tuple[performance.Recorder, performance.Take], tmp_path: Path) -> None:
     recorder, take = performed
     figures.draw_tracking(recorder, take, tmp_path / "tracking.png")
     picture = np.asarray(Image.open(tmp_path / "tracking.png").convert("RGB"))
     assert picture.shape[0] > 500
     assert picture.std() > 10
-    short = figures.Take(labels=take.labels[:6], commands=take.commands[:6], states=take.states[:6], fell=False)
-    figures.film(recorder, short, tmp_path / "film.mp4", shadows=False)
+    short = performance.Take(labels=take.labels[:6], commands=take.commands[:6], states=take.states[:6], fell=False)
+    performance.film(recorder, short, tmp_path / "film.mp4", shadows=False)
     with av.open(str(tmp_path / "film.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(frames) == 3

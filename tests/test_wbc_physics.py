@@ -149,7 +149,8 @@ def test_a_broken_world_breaks_no_other_on_warp(models: list[mujoco.MjModel]) ->
 @pytest.mark.slow
 def test_trains_on_warp(tmp_path: Path) -> None:
     from gym_demohlm.wbc.mdp import MdpConfig
-    from gym_demohlm.wbc.train import TrainConfig, train
+    from gym_demohlm.wbc.train import train
+    from gym_demohlm.wbc.train_config import TrainConfig
 
     mdp = MdpConfig(num_worlds=16, num_variants=2, warp_device="cpu")
     config = TrainConfig(mdp=mdp, num_processes=1, steps_per_iteration=4)
@@ -158,10 +159,29 @@ def test_trains_on_warp(tmp_path: Path) -> None:
 
 
 def test_configurations_of_cpu_and_gpu_share_the_mdp() -> None:
-    from gym_demohlm.wbc.train import TrainConfig, cpu_config, cuda_config
+    from gym_demohlm.wbc.train_config import TrainConfig, cpu_config, cuda_config
 
     cpu, cuda = cpu_config(2), cuda_config()
     assert (cpu.mdp.warp_device, cpu.device, cpu.num_processes * cpu.mdp.num_worlds) == (None, "cpu", 512)
     assert (cuda.mdp.warp_device, cuda.device, cuda.num_processes * cuda.mdp.num_worlds) == ("cuda", "cuda", 4096)
     with pytest.raises(SceneError, match="one process"):
         TrainConfig(num_processes=2, device="cuda")
+
+
+def test_commands_at_which_robots_fell_come_back_with_the_one_before() -> None:
+    from gym_demohlm.wbc.commands import CommandSampler
+
+    sampler, standing = CommandSampler(64, np.random.default_rng(0)), np.ones(64, dtype=bool)
+    sampler.reset(np.arange(64), 1.0)
+    for _ in range(301):  # everyone has a second command
+        sampler.advance(1.0, standing)
+    before, fell_at = sampler.previous[3].copy(), sampler.goal[3].copy()
+    sampler.remember(np.array([3]))
+    practised = 0
+    for _ in range(3000):
+        was = sampler.goal.copy()
+        sampler.advance(1.0, standing)
+        again = (was != sampler.goal).any(axis=1) & (sampler.goal == fell_at).all(axis=1)
+        practised += again.sum()
+        assert (was[again] == before).all()
+    assert practised > 0.05 * 64 * 3000 / 200  # draws last 200 ticks on average

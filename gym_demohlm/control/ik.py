@@ -10,24 +10,22 @@ gains no force with time. Bounds and rates are limits inside the problems: an un
 and stops.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import placo
 
 from gym_demohlm import poses
 from gym_demohlm.control import command, reference
+from gym_demohlm.control.ik_pass import Pass
+from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.urdf import urdf
 
-_PALMS = ("left_palm", "right_palm")
 _ARMS = (command.LEFT_ARM, command.RIGHT_ARM)
-_HEAD = "head_camera"
 _ROOT, _TORSO = "heading", "torso_link"
 # From the floor up; each name is a joint of the torso pass and an entry of the command.
 _TORSO_AXES = (("torso_height", "0 0 1"), ("torso_yaw", "0 0 1"), ("torso_pitch", "0 1 0"), ("torso_roll", "1 0 0"))
@@ -38,56 +36,6 @@ _IS_ELBOW = np.array([name.endswith("elbow.pos") for name in command.NAMES])
 _WALK_LOWER, _WALK_UPPER = command.LOWER.copy(), command.UPPER.copy()
 _WALK_LOWER[command.TORSO] = [reference.WALK_HEIGHT, 0.0, reference.WALK_PITCH[0], -reference.WALK_YAW]
 _WALK_UPPER[command.TORSO] = [command.UPPER[command.HEIGHT], 0.0, reference.WALK_PITCH[1], reference.WALK_YAW]
-
-
-@dataclass(frozen=True, kw_only=True)
-class IKSettings:
-    """Rates, weights and effort of the solver. Weights multiply squared errors in metres and radians.
-
-    Attributes:
-        height_rate: Fastest change of the torso height [m/s].
-        torso_rate: Fastest change of torso roll, pitch and yaw [rad/s].
-        arm_rate: Fastest change of an arm joint [rad/s].
-        torso_position_weight: Pull of a palm to its target position, in the torso pass.
-        arm_position_weight: The same in the arm pass; high, so that an orientation out of reach costs no position.
-        torso_orientation_weight: Pull of a palm to its target orientation, in the torso pass.
-        arm_orientation_weight: The same in the arm pass.
-        height_weight: Pull of the torso height to `g1.PELVIS_HEIGHT`.
-        pitch_weight: Pull of the torso to upright; weak, so that low targets bend it before they bend the knees.
-        yaw_weight: Pull of the torso yaw to straight ahead.
-        roll_weight: Pull of the torso roll to zero.
-        head_weight: Pull of the head to its target position, in the torso pass; the gaze controller turns it.
-        furthest_back: Torso pitch beyond which it does not lean back [rad]: no target in front needs it.
-        straightest_elbow: Elbow angle that the torso pass counts on at most [rad] (straight is about 1.6): what is left
-            makes up for a torso that does not get all the way.
-        torso_posture_weight: Pull of the arms to the home posture, in the torso pass.
-        arm_posture_weight: The same in the arm pass; it chooses the elbow's height.
-        regularization: Damping of each step.
-        error_damping: More of it, times the hands' weighted squared error.
-        iterations: Linearisations a pass, at most.
-        converged: A change of all joints by less than this [rad, m] is the last one.
-    """
-
-    height_rate: float = 0.3
-    torso_rate: float = 0.8
-    arm_rate: float = 4.0
-    torso_position_weight: float = 10.0
-    arm_position_weight: float = 50.0
-    torso_orientation_weight: float = 0.05
-    arm_orientation_weight: float = 0.5
-    height_weight: float = 0.5
-    pitch_weight: float = 0.05
-    yaw_weight: float = 0.1
-    roll_weight: float = 1.0
-    head_weight: float = 1.0
-    furthest_back: float = -0.1
-    straightest_elbow: float = 1.0
-    torso_posture_weight: float = 0.001
-    arm_posture_weight: float = 0.001
-    regularization: float = 2e-3
-    error_damping: float = 1.5
-    iterations: int = 2
-    converged: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,140 +53,6 @@ class IKSolution:
     position_error: np.ndarray
     orientation_error: np.ndarray
     planned_position_error: np.ndarray
-
-
-class _Pass:
-    """One problem: a robot on a fixed base, the joints that may move, two palms with targets and a posture.
-
-    placo's own KinematicsSolver sums its tasks in the order of their memory addresses, so its last bits change from
-    process to process. Here the weighted rows of all tasks form one matrix, in a fixed order.
-    """
-
-    def __init__(
-        self, urdf_text: str, pulls: dict[str, tuple[float, float]], weights: tuple[float, float], settings: IKSettings
-    ) -> None:
-        """Load the robot.
-
-        Args:
-            urdf_text: Its description.
-            pulls: For each joint that may move, in the order of all arrays, the angle [rad] or height [m] that it is
-                pulled to, and the weight.
-            weights: Pulls of a palm to its target position and orientation.
-            settings: The other weights.
-        """
-        self.settings = settings
-        self.robot = placo.RobotWrapper("", placo.Flags.ignore_collisions, urdf_text)
-        self.posture, self.posture_weight = np.array(list(pulls.values())).T
-        self.q_columns = [self.robot.get_joint_offset(_joint(name)) for name in pulls]
-        self.v_columns = [self.robot.get_joint_v_offset(_joint(name)) for name in pulls]
-        self.hand_scale = np.sqrt(np.repeat(weights, 3))  # (6,)
-
-    def solve(
-        self,
-        T_world_base: np.ndarray,
-        start: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        targets: list[np.ndarray | None],
-        p_world_head: np.ndarray | None = None,
-        advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None = None,
-    ) -> np.ndarray:
-        """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there.
-
-        Args:
-            T_world_base: Pose of the base, (4, 4).
-            start: The joints.
-            lower: Their bounds.
-            upper: Likewise.
-            targets: Of the palms.
-            p_world_head: Target position of the head [m].
-            advance: Joints -> how far the base is then ahead of `T_world_base` along its x [m]; its derivative (n,).
-        """
-        q = start.copy()
-        base = self._place(T_world_base, q, advance)
-        for _ in range(self.settings.iterations):
-            change = self._step(q, lower, upper, targets, p_world_head, base)
-            q = np.clip(q + change, lower, upper)
-            base = self._place(T_world_base, q, advance)
-            if np.abs(change).max() < self.settings.converged:
-                break
-        return q
-
-    def _place(
-        self, T_world_base: np.ndarray, q: np.ndarray, advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None
-    ) -> np.ndarray:
-        """Put the robot where its base advances to; return how the base moves with the joints, (3, n)."""
-        if advance is None:
-            self.move(T_world_base, q)
-            return np.zeros((3, len(q)))
-        T, (distance, slope) = T_world_base.copy(), advance(q)
-        T[:3, 3] += distance * T[:3, 0]
-        self.move(T, q)
-        return np.outer(T[:3, 0], slope)
-
-    def move(self, T_world_base: np.ndarray, q: np.ndarray) -> None:
-        """Put the robot's base and joints where given."""
-        state = np.zeros(len(self.robot.state.q))
-        quat_wxyz = np.zeros(4)
-        mujoco.mju_mat2Quat(quat_wxyz, T_world_base[:3, :3].reshape(9))
-        state[:3], state[3:7] = T_world_base[:3, 3], quat_wxyz[[1, 2, 3, 0]]  # placo: x, y, z, w
-        state[self.q_columns] = q
-        self.robot.state.q = state
-        self.robot.update_kinematics()
-
-    def errors(self, targets: list[np.ndarray | None]) -> np.ndarray:
-        """Return each palm's way to its target: translation [m] and rotation vector [rad] in the world, (2, 6)."""
-        errors, quat_wxyz = np.zeros((2, 6)), np.zeros(4)
-        for error, palm, target in zip(errors, _PALMS, targets, strict=True):
-            if target is not None:
-                T = self.robot.get_T_world_frame(palm)
-                error[:3] = target[:3, 3] - T[:3, 3]
-                mujoco.mju_mat2Quat(quat_wxyz, (target[:3, :3] @ T[:3, :3].T).reshape(9))
-                mujoco.mju_quat2Vel(error[3:], quat_wxyz, 1.0)
-        return errors
-
-    def _step(
-        self,
-        q: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        targets: list[np.ndarray | None],
-        p_world_head: np.ndarray | None,
-        base: np.ndarray,
-    ) -> np.ndarray:
-        """Solve one linearised problem for the change of the joints, with which the base moves by `base` (3, n).
-
-        Most have their solution inside the bounds, where no solver for bounds is needed.
-        """
-        errors = self.errors(targets) * self.hand_scale
-        # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
-        damping = self.settings.regularization + self.settings.error_damping * (errors**2).sum()
-        rows = [np.diag(np.sqrt(self.posture_weight)), np.sqrt(damping) * np.eye(len(q))]
-        values = [np.sqrt(self.posture_weight) * (self.posture - q), np.zeros(len(q))]
-        for error, palm, target in zip(errors, _PALMS, targets, strict=True):
-            if target is not None:
-                jacobian = self.robot.frame_jacobian(palm, "local_world_aligned")[:, self.v_columns]
-                jacobian[:3] += base
-                rows.append(self.hand_scale[:, None] * jacobian)
-                values.append(error)
-        if p_world_head is not None:
-            scale = np.sqrt(self.settings.head_weight)
-            jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns] + base
-            rows.append(scale * jacobian)
-            values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
-        A, b = np.concatenate(rows), np.concatenate(values)
-        free = np.linalg.solve(A.T @ A, A.T @ b)
-        if (free <= upper - q).all() and (free >= lower - q).all():
-            return free
-        problem, residual = placo.Problem(), placo.Expression()
-        change = problem.add_variable(len(q))
-        residual.A, residual.b = A, -b
-        # placo's comparisons make constraints, which its type stubs do not say.
-        problem.add_constraint(residual == 0.0).configure("soft", 1.0)  # pyright: ignore[reportArgumentType]
-        problem.add_constraint(change.expr() <= upper - q)  # pyright: ignore[reportArgumentType]
-        problem.add_constraint(change.expr() >= lower - q)  # pyright: ignore[reportArgumentType]
-        problem.solve()
-        return np.array(change.value).reshape(-1)
 
 
 class WholeBodyIK:
@@ -269,7 +83,7 @@ class WholeBodyIK:
         weights = self.settings
         arm_pulls = {name: (angle, weights.arm_posture_weight) for name, angle in home.items()}
         hand = (weights.arm_position_weight, weights.arm_orientation_weight)
-        self._arm_pass = _Pass(upper_body, arm_pulls, hand, weights)
+        self._arm_pass = Pass(upper_body, _of_joints(arm_pulls), hand, weights)
         torso_pulls = {
             "torso_height": (g1.PELVIS_HEIGHT, weights.height_weight),
             "torso_yaw": (0.0, weights.yaw_weight),
@@ -278,7 +92,7 @@ class WholeBodyIK:
         } | {name: (angle, weights.torso_posture_weight) for name, angle in home.items()}
         hand = (weights.torso_position_weight, weights.torso_orientation_weight)
         on_torso_joints = _on_torso_joints(upper_body, T_pelvis_torso[:3, 3])
-        self._torso_pass = _Pass(on_torso_joints, torso_pulls, hand, weights)
+        self._torso_pass = Pass(on_torso_joints, _of_joints(torso_pulls), hand, weights)
 
     def solve(
         self,
@@ -424,6 +238,10 @@ def _on_torso_joints(upper_body: str, p_pelvis_torso: np.ndarray) -> str:
 
 def _joint(name: str) -> str:
     return f"{name}_joint"
+
+
+def _of_joints(pulls: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    return {_joint(name): pull for name, pull in pulls.items()}
 
 
 def _heading(T_world_pelvis: np.ndarray) -> np.ndarray:

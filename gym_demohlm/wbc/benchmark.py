@@ -319,6 +319,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peer-range", action="store_true", help="with --peer: velocities from the peer's own range")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw figures and a video into a folder instead")
     parser.add_argument("--run", type=Path, help="with --figures: folder of a training run, for its learning curve")
+    parser.add_argument(
+        "--trade-off", type=Path, metavar="DIR", help="errors over shares of the range and loads instead; draws them"
+    )
     parser.add_argument("--robustness", action="store_true", help="survival under disturbances instead")
     parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
 
@@ -332,6 +335,12 @@ def main(arguments: argparse.Namespace) -> None:
         from gym_demohlm.wbc import figures  # loads Matplotlib
 
         found = figures.draw(arguments.figures, arguments.weights, arguments.run, arguments.seed, arguments.num_threads)
+    elif arguments.trade_off:
+        from gym_demohlm.wbc import trade_off  # loads Matplotlib
+
+        found = trade_off.trade_off(*size, arguments.weights)
+        arguments.trade_off.mkdir(parents=True, exist_ok=True)
+        trade_off.draw_trade_off(found, arguments.trade_off / "controller_trade_off.png")
     elif arguments.robustness:
         found = robustness(*size)
     elif arguments.peer:
@@ -346,7 +355,16 @@ def main(arguments: argparse.Namespace) -> None:
         found["velocity_only"] = arguments.velocity_only
         if not arguments.velocity_only:
             found |= _hand_error(arguments.num_worlds, arguments.seed, arguments.num_threads, arguments.weights)
-    print(json.dumps({name: round(value, 5) if isinstance(value, float) else value for name, value in found.items()}))
+    print(json.dumps(_rounded(found)))
+
+
+def _rounded(value: Any) -> Any:
+    """Return numbers, also those in lists and mappings, with five digits after the point."""
+    if isinstance(value, dict):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_rounded(entry) for entry in value]
+    return round(value, 5) if isinstance(value, float) else value
 
 
 if __name__ == "__main__":

@@ -11,13 +11,19 @@ _SIGN = np.array([1.0, -1.0, -1.0, 1.0])
 _ARM_LOW = np.concatenate([_DOWN, np.minimum(_DOWN * _SIGN, _UP * _SIGN)])
 _ARM_HIGH = np.concatenate([_UP, np.maximum(_DOWN * _SIGN, _UP * _SIGN)])
 _ARM_HOME = g1.HOME[15:][features.OBSERVED_ARM_INDEX]
+_REMEMBERED = 512  # falls whose commands are practised again
+_PRACTISED = 0.15  # share of draws that begin such a pair of commands, once the whole range is commanded
 
 
 class CommandSampler:
     """Commands redrawn every 2-6 s, slewed as at run time, and arms that move between random poses.
 
+    Falls get rare, and where they happen is a small part of the range: the last commands at which robots fell, each
+    with the one before it, are given again more often than chance would have it.
+
     Attributes:
         goal: (N, 7) drawn commands.
+        previous: (N, 7) the ones before.
         current: (N, 7) slewed commands: what the policy sees and is rewarded for.
         arms: (N, 8) arm targets [rad].
     """
@@ -25,14 +31,23 @@ class CommandSampler:
     def __init__(self, num_worlds: int, rng: np.random.Generator) -> None:
         self.rng = rng
         self.goal = np.zeros((num_worlds, 7))
+        self.previous = np.zeros((num_worlds, 7))
         self.current = np.zeros((num_worlds, 7))
         self.arms = np.tile(_ARM_HOME, (num_worlds, 1))
         self._arm_goal = self.arms.copy()
         self._arm_rate = np.ones((num_worlds, 1))
         self._ticks_left = np.zeros(num_worlds, dtype=int)
+        self._next = np.full((num_worlds, 7), np.nan)
+        self._hard = np.zeros((0, 2, 7))
+
+    def remember(self, worlds: np.ndarray) -> None:
+        """Keep the commands of robots that fell, to practise them."""
+        pairs = np.stack([self.previous[worlds], self.goal[worlds]], axis=1)
+        self._hard = np.concatenate([self._hard, pairs])[-_REMEMBERED:]
 
     def reset(self, worlds: np.ndarray, level: float) -> None:
         """Draw new commands for new episodes, which start at the commanded posture with no velocity."""
+        self._next[worlds] = np.nan
         self._draw(worlds, level)
         self._draw_arms(worlds, level)
         goal = self.goal[worlds]
@@ -78,6 +93,14 @@ class CommandSampler:
         command[:, 6] = yaw * level
         command[rng.random(count) < 0.2, 4] = 0
         command[rng.random(count) < 0.2, 6] = 0
+        due = ~np.isnan(self._next[worlds, 0])
+        command[due] = self._next[worlds[due]]
+        self._next[worlds] = np.nan
+        if len(self._hard):
+            practise = ~due & (rng.random(count) < _PRACTISED * level)
+            pairs = self._hard[rng.integers(len(self._hard), size=practise.sum())]
+            command[practise], self._next[worlds[practise]] = pairs[:, 0], pairs[:, 1]
+        self.previous[worlds] = self.goal[worlds]
         self.goal[worlds] = command
         self._ticks_left[worlds] = rng.integers(100, 300, count)
 

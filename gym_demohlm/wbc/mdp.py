@@ -224,6 +224,7 @@ class WholeBodyMdp:
             self._mean_error,
         )
         fell = self._fell(measured) | ~np.isfinite(reward)
+        self.commands.remember(np.nonzero(fell)[0])
         reward = np.where(fell, -1.0, np.nan_to_num(reward) * 0.2)
         self.previous_action, self.action = self.action, actions.copy()
         self._push()

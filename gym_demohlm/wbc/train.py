@@ -11,78 +11,24 @@ import os
 import signal
 import tempfile
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import torch
 import torch.distributed as dist
-from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
-from tensordict import TensorDict
 from torch.multiprocessing.spawn import ProcessContext, start_processes
 
-from gym_demohlm.control import features
 from gym_demohlm.errors import SceneError
 from gym_demohlm.wbc.export import export_weights
-from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 from gym_demohlm.wbc.mirror_model import MirrorModel
+from gym_demohlm.wbc.train_config import TrainConfig, cpu_config, cuda_config, ppo_config
+from gym_demohlm.wbc.vec_env import MdpVecEnv
 
 _SMALLEST_LOG_NOISE = -2.5
 _POLISHING_NOISE = 0.12
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """How a controller is trained.
-
-    Attributes:
-        mdp: The worlds of one process.
-        num_processes: Processes, one a core; one in all with a GPU.
-        device: Of learning, as torch names it.
-        steps_per_iteration: Control ticks collected in each world before learning.
-        level_step: A curriculum rises by this ...
-        level_every: ... every so many iterations ...
-        level_ticks: ... while a robot that nobody pushes falls less often than once in so many ticks ...
-        push_level_ticks: ... or one that is pushed (the strength of the pushes).
-        save_every: Iterations between checkpoints.
-        evaluate_every: Iterations between evaluations on the deployment model.
-        hidden_sizes: Of actor and critic.
-        polish: Learn slowly and explore little, for the last part: the mean action, which is what runs on the robot,
-            gets steadier.
-        largest_noise: Bound of the actions' standard deviation.
-        symmetric: Whether actor and critic are mirror-symmetric.
-        curriculum: Whether commands and pushes start easy.
-        seed: Of commands, randomisation, exploration.
-    """
-
-    mdp: MdpConfig = field(default_factory=MdpConfig)
-    num_processes: int = 2
-    device: str = "cpu"
-    steps_per_iteration: int = 24
-    level_step: float = 0.08
-    level_every: int = 20
-    level_ticks: int = 1200
-    push_level_ticks: int = 500
-    save_every: int = 50
-    evaluate_every: int = 250
-    hidden_sizes: tuple[int, ...] = (256, 128, 64)
-    polish: bool = False
-    largest_noise: float = 1.0
-    symmetric: bool = True
-    curriculum: bool = True
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        """Check the device.
-
-        Raises:
-            SceneError: Several processes with a GPU.
-        """
-        if self.device != "cpu" and self.num_processes != 1:
-            got = f"{self.num_processes} processes with device {self.device!r}"
-            raise SceneError(got, "one process, whose worlds are stepped together", "leave out --num-processes")
 
 
 @dataclass
@@ -94,97 +40,6 @@ class Progress:
     iteration: int = 0
     level: float = 0.0
     push_level: float = 0.0
-
-
-class MdpVecEnv(VecEnv):
-    """The NumPy MDP behind rsl_rl's interface; restarts ended episodes and counts falls.
-
-    Attributes:
-        tally: Ticks and falls of the worlds left alone, ticks and falls of those pushed, since the last reset of it.
-    """
-
-    def __init__(self, config: MdpConfig, device: str = "cpu") -> None:
-        self.mdp = WholeBodyMdp(config)
-        self.num_envs = config.num_worlds
-        self.num_actions = features.ACTION_SIZE
-        self.max_episode_length = config.episode_ticks
-        self.episode_length_buf = torch.zeros(config.num_worlds, dtype=torch.long, device=device)
-        self.device = device
-        self.cfg = config
-        self.tally = np.zeros(4)
-
-    def get_observations(self) -> TensorDict:
-        """Return the observation groups ``actor`` and ``critic``."""
-        actor, critic = self.mdp.observe()
-        groups = {"actor": self._tensor(actor), "critic": self._tensor(critic)}
-        return TensorDict(groups, batch_size=[self.num_envs])
-
-    def _tensor(self, array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(array).to(self.device)
-
-    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Advance all worlds by a control tick and restart those that ended."""
-        reward, fell, ended = self.mdp.step(actions.cpu().numpy().astype(np.float64))
-        pushed = self.mdp.pushed
-        self.tally += [(~pushed).sum(), fell[~pushed].sum(), pushed.sum(), fell[pushed].sum()]
-        self.mdp.reset(np.nonzero(ended)[0])
-        extras = {"time_outs": self._tensor((ended & ~fell).astype(np.float32))}
-        return (
-            self.get_observations(),
-            self._tensor(reward.astype(np.float32)),
-            self._tensor(ended.astype(np.int64)),
-            extras,
-        )
-
-
-def cpu_config(num_processes: int) -> TrainConfig:
-    """Return the configuration for CPU cores: 512 worlds on mujoco.rollout, shared among processes."""
-    return TrainConfig(mdp=MdpConfig(num_worlds=512 // num_processes), num_processes=num_processes)
-
-
-def cuda_config() -> TrainConfig:
-    """Return the configuration for a GPU: 4096 worlds on mujoco_warp in one process that learns there too."""
-    return TrainConfig(mdp=MdpConfig(num_worlds=4096, warp_device="cuda"), num_processes=1, device="cuda")
-
-
-def ppo_config(config: TrainConfig) -> dict[str, Any]:
-    """Return the rsl_rl configuration of a run."""
-    network = {
-        "class_name": "gym_demohlm.wbc.mirror_model:MirrorModel",
-        "hidden_dims": list(config.hidden_sizes),
-        "activation": "elu",
-        "obs_normalization": True,
-        "symmetric": config.symmetric,
-    }
-    noise = {"class_name": "GaussianDistribution", "init_std": float(np.exp(-1.0)), "std_type": "log"}
-    polish = config.polish
-    return {
-        "seed": config.seed,
-        "num_steps_per_env": config.steps_per_iteration,
-        "save_interval": 10**9,
-        "check_for_nan": False,
-        "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
-        "actor": {**network, "distribution_cfg": noise},
-        "critic": dict(network),
-        "algorithm": {
-            "class_name": "gym_demohlm.wbc.mirror_model:BoundedPPO",
-            "num_learning_epochs": 3,
-            "num_mini_batches": 4,
-            "gamma": 0.98,
-            "lam": 0.95,
-            "clip_param": 0.2,
-            "value_loss_coef": 0.5,
-            "use_clipped_value_loss": False,
-            "entropy_coef": -0.001 if polish else 0.003,
-            "learning_rate": 2e-4 if polish else 1e-3,
-            "lowest_learning_rate": 5e-5 if polish else 2e-4,
-            "highest_learning_rate": 4e-4 if polish else 1e-3,
-            "desired_kl": 0.015 if polish else 0.02,
-            "schedule": "adaptive",
-            "rnd_cfg": None,
-            "symmetry_cfg": None,
-        },
-    }
 
 
 def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = False) -> None:

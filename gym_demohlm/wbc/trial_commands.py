@@ -39,6 +39,16 @@ class CommandRange:
     walking_pitch: tuple[float, float] = (-0.3, 0.3)
     arm_speed: tuple[float, float] = (0.3, 3.0)
 
+    def scaled(self, share: float) -> "CommandRange":
+        """Return the range drawn together about the robot at rest; only the arms' speed stays."""
+        rest = {"height": g1.PELVIS_HEIGHT, "walking_height": g1.PELVIS_HEIGHT}
+        drawn = {
+            name: (rest.get(name, 0.0) * (1 - share) + share * low, rest.get(name, 0.0) * (1 - share) + share * high)
+            for name, (low, high) in vars(self).items()
+            if name != "arm_speed"
+        }
+        return replace(self, **drawn)
+
     def velocity_only(self) -> "CommandRange":
         """Return the range with its velocities alone: upright at rest height, arms still."""
         height, zero = (g1.PELVIS_HEIGHT, g1.PELVIS_HEIGHT), (0.0, 0.0)
