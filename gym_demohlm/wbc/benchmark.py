@@ -358,7 +358,7 @@ def main(arguments: argparse.Namespace) -> None:
     print(json.dumps(_rounded(found)))
 
 
-def _rounded(value: Any) -> Any:
+def _rounded(value: object) -> object:
     """Return numbers, also those in lists and mappings, with five digits after the point."""
     if isinstance(value, dict):
         return {name: _rounded(entry) for name, entry in value.items()}
