@@ -188,7 +188,8 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
             :2
         ]  # the pelvis must move so that the sole rests
         down = attitude.inv().apply([0.0, 0.0, -1.0])
-        found, tilt = odometry.estimate(down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18])
+        found, tilt, height = odometry.estimate(down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18])
+        assert height[0] == pytest.approx(data.qpos[2] - data.site("left_sole").xpos[2], abs=1e-9)
         np.testing.assert_allclose(found[0], expected, atol=1e-3)
         normal = data.site("left_sole").xmat.reshape(3, 3)[2, 2]
         assert tilt[0] == pytest.approx(np.arccos(normal), abs=1e-6)

@@ -69,8 +69,8 @@ def sole_points(legs: np.ndarray, offset: np.ndarray = _SOLE) -> np.ndarray:
 
 def estimate(
     down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the pelvis velocity, and how far the planted sole is tipped over.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimate the pelvis velocity and height, and how far the planted sole is tipped over.
 
     Args:
         down: (N, 3) direction of gravity in the pelvis frame.
@@ -79,7 +79,8 @@ def estimate(
         leg_rates: (N, 12) their velocities [rad/s].
 
     Returns:
-        Horizontal velocity in the heading frame (N, 2) [m/s], and the tilt of the planted sole (N,) [rad].
+        Horizontal velocity in the heading frame (N, 2) [m/s], tilt of the planted sole (N,) [rad], and height of the
+        pelvis above it (N,) [m].
     """
     soles, later, above = sole_points(np.stack([legs, legs + _EPSILON * leg_rates, legs]), _POINTS)  # (N, 2, 3) each
     normals = above - soles
@@ -94,7 +95,7 @@ def estimate(
     velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
     upright = (normals * up[:, None]).sum(axis=2)
     tilt = np.arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
-    return velocity, tilt
+    return velocity, tilt, -(weights[..., 0] * height).sum(axis=1)
 
 
 def smooth(average: np.ndarray, velocity: np.ndarray) -> np.ndarray:

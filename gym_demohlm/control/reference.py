@@ -96,18 +96,33 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
     bent |= (np.abs(posture[:, [1, 3]]) > [0.1, WALK_YAW + 0.05]).any(axis=1)
     on_its_way = (np.abs(goal[:, 3:] - posture) > _NEARLY_THERE).any(axis=1)
     goal[bent | (standing & on_its_way), :3] = 0.0
-    # Up, for the torso, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1), about.
-    lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (current[:, 3] - LEAN_BACK_HEIGHT))
-    ahead, aside = np.cos(goal[:, 6]), np.sin(goal[:, 6])
-    goal[:, 5] = np.maximum(goal[:, 5], np.arctan((lowest - aside * np.tan(goal[:, 4])) / ahead))
-    further = np.arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(goal[:, 5])) / ahead, 0.0, 1.0))
-    goal[:, 4] = np.where(aside > 0, np.maximum(goal[:, 4], -further), np.minimum(goal[:, 4], further))
+    goal[:, 3:] = balanced(goal[:, 3:], current[:, 3])
     steps = ~standing
     goal[:, 3] = np.where(steps, np.maximum(goal[:, 3], WALK_HEIGHT), goal[:, 3])
     goal[:, 4] = np.where(steps, 0.0, goal[:, 4])
     goal[:, 5] = np.where(steps, np.clip(goal[:, 5], *WALK_PITCH), goal[:, 5])
     goal[:, 6] = np.where(steps, np.clip(goal[:, 6], -WALK_YAW, WALK_YAW), goal[:, 6])
     return goal
+
+
+def balanced(torso: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Return the nearest torso that the feet can stay under, by its pitch and roll.
+
+    Args:
+        torso: (N, 4) height [m], roll, pitch and yaw [rad].
+        height: (N,) where the torso is by now [m].
+
+    Returns:
+        (N, 4).
+    """
+    roll, pitch, yaw = torso[:, 1], torso[:, 2], torso[:, 3]
+    # Up, for the torso, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1), about.
+    lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (height - LEAN_BACK_HEIGHT))
+    ahead, aside = np.cos(yaw), np.sin(yaw)
+    pitch = np.maximum(pitch, np.arctan((lowest - aside * np.tan(roll)) / ahead))
+    further = np.arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(pitch)) / ahead, 0.0, 1.0))
+    roll = np.where(aside > 0, np.maximum(roll, -further), np.minimum(roll, further))
+    return np.stack([torso[:, 0], roll, pitch, yaw], axis=1)
 
 
 def slew(current: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -225,6 +240,12 @@ def in_torso(v: np.ndarray, waist: np.ndarray) -> np.ndarray:
     x, y = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
     y, z = np.cos(roll) * y + np.sin(roll) * z, np.cos(roll) * z - np.sin(roll) * y
     return np.stack([np.cos(pitch) * x - np.sin(pitch) * z, y, np.cos(pitch) * z + np.sin(pitch) * x], axis=1)
+
+
+def roll_pitch(down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return roll and pitch (N,) [rad] of the frame in which gravity points along ``down`` (N, 3)."""
+    x, y, z = np.ascontiguousarray(-down.T)
+    return np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
 
 
 def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.control import command, features, odometry, reference
+from gym_demohlm.control import command, features, odometry, reference, trim
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
@@ -26,7 +26,11 @@ _CLOCK = _SLEWED.stop
 _VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
 _ARM_TARGETS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
 _CARRIED = slice(_ARM_TARGETS.stop, _ARM_TARGETS.stop + 2)
-STATE_SIZE = _CARRIED.stop  # history, last action, slewed command, phase, stopped, standing, odometry, arms, loads
+_TRIM = slice(_CARRIED.stop, _CARRIED.stop + 4)
+# History, last action, slewed command, phase, stopped, standing, odometry, arms, loads, trim.
+STATE_SIZE = _TRIM.stop
+_TORSO = slice(3, 7)  # of a slewed command
+_QUIET = 0.01  # m, rad: a command that moves on by less than this in a step is taken for a constant one
 _LEGS = len(g1.LEG_JOINTS)
 _ARM_POSITIONS = reference.NUM_LOWER + features.OBSERVED_ARM_INDEX
 
@@ -155,16 +159,18 @@ class WholeBodyController:
         frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
         history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], frame], axis=1)
         current, stands = state[:, _SLEWED], state[:, _CLOCK + 2] > 0.5
-        slewed = reference.slew(current, reference.admissible(commands, current, stands))
+        goal = reference.admissible(commands, current, stands)
+        slewed = reference.slew(current, goal)
         down = features.gravity(quat_wxyz)
-        velocity, sole_tilt = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
+        velocity, sole_tilt, height = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
         velocity = odometry.smooth(state[:, _VELOCITY], velocity)
+        down_torso = reference.in_torso(down, q[:, _LEGS : reference.NUM_LOWER])
         carried = self.reference.arm_load.weigh(
             state[:, _CARRIED],
             state[:, _ARM_TARGETS],
             q[:, _ARM_POSITIONS],
             dq[:, _ARM_POSITIONS],
-            reference.in_torso(down, q[:, _LEGS : reference.NUM_LOWER]),
+            down_torso,
             reference.CONTROL_DT,
         )
         phase, stopped, standing = reference.advance_clock(
@@ -174,21 +180,30 @@ class WholeBodyController:
             slewed[:, :3],
             reference.startled(velocity, sole_tilt),
         )
+        measured = np.stack([height, *reference.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
+        quiet = standing & (np.abs(goal - current) < _QUIET).all(axis=1)
+        torso = slewed[:, _TORSO]
+        correction = trim.advance(state[:, _TRIM], torso, measured, quiet)
+        correction = reference.balanced(torso + correction, torso[:, 0]) - reference.balanced(torso, torso[:, 0])
+        told = slewed.copy()
+        told[:, _TORSO] += correction
         arms = commands[:, command.ARMS]
         most_arms = arms[:, features.OBSERVED_ARM_INDEX]
         observed = features.observation(
             history.reshape(rows, features.HISTORY, features.FRAME_SIZE),
             state[:, _HISTORY : _HISTORY + features.ACTION_SIZE],
             most_arms,
-            slewed,
+            told,
             phase,
             standing,
             velocity,
         )
         action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
         clock = np.stack([phase, stopped, standing.astype(np.float64)], axis=1)
-        self.state[chosen] = np.concatenate([history, action, slewed, clock, velocity, most_arms, carried], axis=1)
-        lower = self.reference(slewed, phase, standing, velocity, most_arms, carried)
+        self.state[chosen] = np.concatenate(
+            [history, action, slewed, clock, velocity, most_arms, carried, correction], axis=1
+        )
+        lower = self.reference(told, phase, standing, velocity, most_arms, carried)
         lower += action * features.ACTION_SCALE
         return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
 

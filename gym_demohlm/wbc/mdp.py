@@ -232,7 +232,7 @@ class WholeBodyMdp:
         frame = features.frame(qpos[:, 3:7], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
         legs, leg_rates = qpos[:, 7 : 7 + _LEGS], qvel[:, 6 : 6 + _LEGS]
         down = features.gravity(qpos[:, 3:7])
-        velocity, sole_tilt = odometry.estimate(down, qvel[:, 3:6], legs, leg_rates)
+        velocity, sole_tilt, _ = odometry.estimate(down, qvel[:, 3:6], legs, leg_rates)
         self.carried = self.reference.arm_load.weigh(
             self.carried,
             self._targets[:, reference.NUM_LOWER :],
