@@ -1,4 +1,4 @@
-"""The slow correction of a standing torso: to the command and no further, never past its bounds, gone on the way."""
+"""The slow correction of a command: to the command and no further, never past its bounds, gone on the way."""
 
 import numpy as np
 import pytest
@@ -9,28 +9,32 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.benchmark import tracked
 from gym_demohlm.wbc.trial import trial_task
 
-_QUIET = np.ones(1, dtype=bool)
+_CONSTANT = np.ones((1, 5), dtype=bool)
 
 
 def test_a_constant_error_is_corrected() -> None:
-    told, bias, correction = np.array([[0.6, 0.1, 0.5, -0.3]]), np.array([[-0.02, 0.03, 0.05, 0.02]]), np.zeros((1, 4))
+    told, bias, correction = (
+        np.array([[0.5, 0.6, 0.1, 0.5, -0.3]]),
+        np.array([[0.1, -0.02, 0.03, 0.05, 0.02]]),
+        np.zeros((1, 5)),
+    )
     for _ in range(round(3.0 / reference.CONTROL_DT)):
-        correction = trim.advance(correction, told, told + correction + bias, _QUIET)
+        correction = trim.advance(correction, told, told + correction + bias, _CONSTANT)
     np.testing.assert_allclose(correction, -bias, atol=2e-4)
 
 
 def test_what_does_as_it_is_told_is_left_alone() -> None:
-    told = np.array([[0.6, 0.1, 0.5, -0.3]])
-    assert (trim.advance(np.zeros((1, 4)), told, told, _QUIET) == 0).all()
+    told = np.array([[0.5, 0.6, 0.1, 0.5, -0.3]])
+    assert (trim.advance(np.zeros((1, 5)), told, told, _CONSTANT) == 0).all()
 
 
 def test_a_torso_that_is_held_back_stays_within_bounds_and_forgets() -> None:
-    told, correction = np.array([[0.6, 0.1, 0.5, -0.3]]), np.zeros((1, 4))
+    told, correction = np.array([[0.5, 0.6, 0.1, 0.5, -0.3]]), np.zeros((1, 5))
     for _ in range(1000):
-        correction = trim.advance(correction, told, told - 1.0, _QUIET)
+        correction = trim.advance(correction, told, told - 1.0, _CONSTANT)
     np.testing.assert_allclose(correction[0], trim.LIMITS)
     for _ in range(round(2.0 / reference.CONTROL_DT)):
-        correction = trim.advance(correction, told, told - 1.0, ~_QUIET)
+        correction = trim.advance(correction, told, told - 1.0, ~_CONSTANT)
     assert (np.abs(correction) < 0.03 * trim.LIMITS).all()
 
 
@@ -57,3 +61,21 @@ def test_a_standing_robot_ends_nearer_to_its_command(monkeypatch: pytest.MonkeyP
         )
     without, with_trim = errors
     assert with_trim.mean() < 0.5 * without.mean()
+
+
+def test_a_turning_robot_turns_as_fast_as_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = np.tile(command.rest(), (4, 1))
+    told[:, 2] = [0.8, -0.8, 0.5, -1.0]
+    errors = []
+    for rate in (0.0, trim.RATE):
+        monkeypatch.setattr(trim, "RATE", rate)
+        simulation = Simulation(trial_task(), num_worlds=4)
+        simulation.reset([simulation.task.default_state()] * 4)
+        turned = []
+        for step in range(60):
+            simulation.step(told)
+            if step >= 60 - 32:  # five gait periods
+                turned.append(tracked(simulation)["yaw_rate"])
+        errors.append(np.abs(np.mean(turned, axis=0) - told[:, 2]))
+    without, with_trim = errors
+    assert with_trim.mean() < 0.6 * without.mean()

@@ -124,3 +124,19 @@ def test_all_of_them_land_in_a_folder(tmp_path: Path) -> None:
 def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"log\.jsonl"):
         figures.draw_learning(tmp_path, tmp_path / "learning.png")
+
+
+def test_runs_are_drawn_over_one_another(tmp_path: Path) -> None:
+    for index, name in enumerate(("full", "without_reference")):
+        (tmp_path / name).mkdir()
+        found = {"survival": 0.5 + 0.1 * index, "walking/linear_velocity": 0.2, "standing/torso_pitch": 0.1}
+        line = {"steps": 1_000_000, **{f"deployment/{key}": value for key, value in found.items()}}
+        (tmp_path / name / "evaluation.jsonl").write_text(json.dumps(line) + "\n")
+    runs = [tmp_path / "full", tmp_path / "without_reference"]
+    figures.draw_comparison(runs, tmp_path / "both.png")
+    figures.draw_comparison(runs[:1], tmp_path / "one.png")
+    both, one = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("both", "one"))
+    assert both.shape == one.shape
+    assert (both != one).any()
+    with pytest.raises(SceneError, match=r"evaluation\.jsonl"):
+        figures.draw_comparison([tmp_path], tmp_path / "none.png")

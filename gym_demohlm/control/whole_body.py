@@ -26,11 +26,12 @@ _CLOCK = _SLEWED.stop
 _VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
 _ARM_TARGETS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
 _CARRIED = slice(_ARM_TARGETS.stop, _ARM_TARGETS.stop + 2)
-_TRIM = slice(_CARRIED.stop, _CARRIED.stop + 4)
+_TRIM = slice(_CARRIED.stop, _CARRIED.stop + 5)
 # History, last action, slewed command, phase, stopped, standing, odometry, arms, loads, trim.
 STATE_SIZE = _TRIM.stop
-_TORSO = slice(3, 7)  # of a slewed command
-_QUIET = 0.01  # m, rad: a command that moves on by less than this in a step is taken for a constant one
+_TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
+_CONSTANT = 0.01  # m/s, m, rad: a command that moves on by less than this in a step is taken for a constant one
+_WHILE_STANDING = np.array([False, True, True, True, True])  # when an entry is trimmed
 _LEGS = len(g1.LEG_JOINTS)
 _ARM_POSITIONS = reference.NUM_LOWER + features.OBSERVED_ARM_INDEX
 
@@ -180,13 +181,16 @@ class WholeBodyController:
             slewed[:, :3],
             reference.startled(velocity, sole_tilt),
         )
-        measured = np.stack([height, *reference.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
-        quiet = standing & (np.abs(goal - current) < _QUIET).all(axis=1)
-        torso = slewed[:, _TORSO]
-        correction = trim.advance(state[:, _TRIM], torso, measured, quiet)
-        correction = reference.balanced(torso + correction, torso[:, 0]) - reference.balanced(torso, torso[:, 0])
+        turning = -(down * gyro).sum(axis=1)
+        measured = np.stack([turning, height, *reference.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
+        constant = (np.abs(goal - current) < _CONSTANT).all(axis=1)
+        learns = constant[:, None] & (standing[:, None] == _WHILE_STANDING)
+        correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns)
+        torso, torso_height = slewed[:, _TORSO], slewed[:, _TORSO.start]
+        trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
+        correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
         told = slewed.copy()
-        told[:, _TORSO] += correction
+        told[:, _TRIMMED] += correction
         arms = commands[:, command.ARMS]
         most_arms = arms[:, features.OBSERVED_ARM_INDEX]
         observed = features.observation(

@@ -318,6 +318,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peer", help="run a public controller instead: holosoma or holosoma-ppo")
     parser.add_argument("--peer-range", action="store_true", help="with --peer: velocities from the peer's own range")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw figures and a video into a folder instead")
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="RUN", help="with --figures: only training runs")
     parser.add_argument("--run", type=Path, help="with --figures: folder of a training run, for its learning curve")
     parser.add_argument(
         "--trade-off", type=Path, metavar="DIR", help="errors over shares of the range and loads instead; draws them"
@@ -331,7 +332,14 @@ def main(arguments: argparse.Namespace) -> None:
     size = (arguments.num_worlds, arguments.seconds, arguments.seed, arguments.num_threads)
     roll, yaw = arguments.roll, arguments.yaw
     ranges = CommandRange(roll=(-roll, roll), yaw=(-yaw, yaw))
-    if arguments.figures:
+    found: dict[str, Any]
+    if arguments.figures and arguments.compare:
+        from gym_demohlm.wbc import figures
+
+        arguments.figures.mkdir(parents=True, exist_ok=True)
+        figures.draw_comparison(arguments.compare, arguments.figures / "controller_comparison.png")
+        found = {"figures": ["controller_comparison.png"]}
+    elif arguments.figures:
         from gym_demohlm.wbc import figures  # loads Matplotlib
 
         found = figures.draw(arguments.figures, arguments.weights, arguments.run, arguments.seed, arguments.num_threads)

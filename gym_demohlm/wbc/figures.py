@@ -27,6 +27,7 @@ matplotlib.use("Agg")
 
 PUSH_SPEEDS = tuple(np.round(np.arange(0.1, 1.01, 0.1), 1))  # m/s
 _TOLD, _DONE, _WALKS, _STANDS = "#d1495b", "#2e4057", "#00798c", "#edae49"
+_RUNS = (_DONE, _TOLD, _WALKS, _STANDS, "#8e6c8a", "#7a9e4f")
 _CHANNELS = {  # name in ``tracked`` -> column of the command, axis label
     "forward": (0, "forward [m/s]"),
     "sideways": (1, "sideways [m/s]"),
@@ -231,6 +232,39 @@ def draw_learning(run: Path, path: Path) -> None:
         above.set_xlabel("minutes", fontsize=9)
         axes.set_title(axes.get_title(loc="left"), fontsize=10, loc="left", y=1.16)
     figure.suptitle("lines: training worlds, with exploration and noise; dots: deployment model", fontsize=9)
+    figure.savefig(path, dpi=100)
+
+
+def draw_comparison(runs: Sequence[Path], path: Path) -> None:
+    """Draw training runs over one another, as the deployment model sees them, one colour a run.
+
+    Args:
+        runs: Their folders, whose names are the labels.
+        path: A ``.png`` file.
+
+    Raises:
+        SceneError: A folder holds no evaluations.
+    """
+    panels = {
+        "survival": "no fall in 8 s [%]",
+        "walking/linear_velocity": "velocity error, walking [m/s]",
+        "standing/torso_pitch": "torso pitch error, standing [rad]",
+    }
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    grid = figure.subplots(1, len(panels))
+    for run, color in zip(runs, _RUNS, strict=False):
+        lines = _read_lines(run / "evaluation.jsonl")
+        if not lines:
+            got = f"no evaluation.jsonl in {run}"
+            raise SceneError(got, "the folder of a training run", "train with --evaluate-every")
+        steps = _column(lines, "steps") / 1e6
+        for axes, name in zip(grid, panels, strict=True):
+            values = _column(lines, f"deployment/{name}") * (100 if name == "survival" else 1)
+            axes.plot(steps, values, "o-", color=color, markersize=3, linewidth=1.2, label=run.name.replace("_", " "))
+    for axes, label in zip(grid, panels.values(), strict=True):
+        axes.set(xlabel="control steps [million]", ylabel=label)
+        axes.grid(alpha=0.3)
+    grid[0].legend(fontsize=8)
     figure.savefig(path, dpi=100)
 
 

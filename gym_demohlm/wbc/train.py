@@ -107,7 +107,8 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         signal.signal(number, lambda received, _: stopping.append(received))
     start = time.monotonic() - progress.seconds
     end = time.monotonic() + 3600 * hours
-    while not _any(bool(stopping) or time.monotonic() > end):
+    most_steps = config.max_steps or np.inf
+    while not _any(bool(stopping) or time.monotonic() > end) and progress.steps < most_steps:
         statistics = _iterate(runner, env, config)
         progress.iteration += 1
         progress.steps += config.steps_per_iteration * env.num_envs * config.num_processes
@@ -233,6 +234,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-processes", type=int, help="cpu: processes, one a core, that share 512 worlds (2)")
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     parser.add_argument("--polish", action="store_true", help="learn slowly, exploring little: the last part of a run")
+    parser.add_argument("--max-steps", type=int, help="control steps of the whole run after which it ends")
+    parser.add_argument("--evaluate-every", type=int, default=TrainConfig.evaluate_every, help="iterations")
     parser.add_argument("--without", choices=("symmetry", "reference", "curriculum"), help="to see what it is worth")
 
 
@@ -248,6 +251,8 @@ def main(arguments: argparse.Namespace) -> None:
         largest_noise=_POLISHING_NOISE if arguments.polish else config.largest_noise,
         symmetric=arguments.without != "symmetry",
         curriculum=arguments.without != "curriculum",
+        evaluate_every=arguments.evaluate_every,
+        max_steps=arguments.max_steps,
         seed=arguments.seed,
     )
     train(arguments.output, config, hours=arguments.hours, resume=arguments.resume)

@@ -24,6 +24,7 @@ class TrainConfig:
         push_level_ticks: ... or one that is pushed (the strength of the pushes).
         save_every: Iterations between checkpoints.
         evaluate_every: Iterations between evaluations on the deployment model.
+        max_steps: Control steps after which a run ends, if its time has not.
         hidden_sizes: Of actor and critic.
         polish: Learn slowly and explore little, for the last part: the mean action, which is what runs on the robot,
             gets steadier.
@@ -43,6 +44,7 @@ class TrainConfig:
     push_level_ticks: int = 500
     save_every: int = 50
     evaluate_every: int = 250
+    max_steps: int | None = None
     hidden_sizes: tuple[int, ...] = (256, 128, 64)
     polish: bool = False
     largest_noise: float = 1.0
