@@ -132,6 +132,16 @@ def test_admissible_postures_keep_the_weight_over_the_soles_and_the_waist_within
     assert (np.sin(np.abs(aside)) < 0.85).all()
 
 
+def test_soles_turn_only_in_steps_and_outside_the_postures_of_a_walk() -> None:
+    rest, deep = [g1.PELVIS_HEIGHT, 0.0, 0.2, 0.1], [0.45, 0.0, 0.2, 0.1]
+    torso, standing = np.array([rest, rest, deep, [0.575, 0, 0, 0]]), np.array([True, False, True, True])
+    scale = reference.action_scale(standing, torso)
+    turns = np.array([joint.endswith("hip_yaw") for joint in features.DRIVEN_JOINTS])
+    assert (scale[:, ~turns] == features.ACTION_SCALE[~turns]).all()
+    shares = scale[:, turns] / features.ACTION_SCALE[turns]
+    np.testing.assert_allclose(shares, np.array([[0.0, 1.0, 1.0, 0.5]]).T * np.ones(2), atol=1e-12)
+
+
 def test_waist_turns_the_torso_to_its_commanded_attitude() -> None:
     rng = np.random.default_rng(6)
     roll, pitch, yaw = rng.uniform([[-0.3], [-0.25], [-0.8]], [[0.3], [0.8], [0.8]], (3, 200))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gym_demohlm.control import leg_ik
+from gym_demohlm.control import features, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.robot import g1
 
@@ -52,6 +52,9 @@ _NEARLY_THERE = np.array([0.06, 0.1, 0.15, 0.2])  # m, rad, rad, rad: height, ro
 # stays less than 3 cm behind their middle, arms at home, above this forward lean [rad], linear in height [m].
 LEAN_BACK_HEIGHT, LEAN_BACK, LEAN_BACK_SLOPE = 0.40, 0.03, -2.2
 LEAN_ASIDE = 0.70  # sine of the sideways lean that rolling a turned and bent torso may add up to: then the waist ends
+_UPRIGHT_ROLL = 0.1  # rad
+_OUTSIDE = np.array([0.05, 0.1, 0.1, 0.1, 0.1])  # m, rad: so far outside the postures of a walk the soles may turn
+_TURNS = np.array([joint.endswith("hip_yaw") for joint in features.DRIVEN_JOINTS])
 STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
 # A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
 STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
@@ -123,6 +126,32 @@ def balanced(torso: np.ndarray, height: np.ndarray) -> np.ndarray:
     further = np.arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(pitch)) / ahead, 0.0, 1.0))
     roll = np.where(aside > 0, np.maximum(roll, -further), np.minimum(roll, further))
     return np.stack([torso[:, 0], roll, pitch, yaw], axis=1)
+
+
+def action_scale(standing: np.ndarray, torso: np.ndarray) -> np.ndarray:
+    """Return what an action of one adds to the joint targets.
+
+    A robot that stands as it walks, nearly upright, does not turn its soles under its weight: whichever bears more
+    would turn the whole robot.
+
+    Args:
+        standing: (N,) bool, whether the clock rests.
+        torso: (N, 4) height [m], roll, pitch and yaw [rad], slewed.
+
+    Returns:
+        (N, 15) [rad].
+    """
+    outside = np.stack(
+        [
+            WALK_HEIGHT - torso[:, 0],
+            np.abs(torso[:, 1]) - _UPRIGHT_ROLL,
+            torso[:, 2] - WALK_PITCH[1],
+            WALK_PITCH[0] - torso[:, 2],
+            np.abs(torso[:, 3]) - WALK_YAW,
+        ]
+    )
+    turns = np.where(standing, np.clip((outside / _OUTSIDE[:, None]).max(axis=0), 0.0, 1.0), 1.0)
+    return np.where(_TURNS, turns[:, None] * features.ACTION_SCALE, features.ACTION_SCALE)
 
 
 def slew(current: np.ndarray, goal: np.ndarray) -> np.ndarray:

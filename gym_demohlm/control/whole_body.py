@@ -208,7 +208,7 @@ class WholeBodyController:
             [history, action, slewed, clock, velocity, most_arms, carried, correction], axis=1
         )
         lower = self.reference(told, phase, standing, velocity, most_arms, carried)
-        lower += action * features.ACTION_SCALE
+        lower += action * reference.action_scale(standing, torso)
         return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
 
     def _act(self, observed: np.ndarray) -> np.ndarray:

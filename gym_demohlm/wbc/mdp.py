@@ -200,7 +200,7 @@ class WholeBodyMdp:
                     self.commands.arms,
                     self.carried,
                 )
-                + actions * features.ACTION_SCALE,
+                + actions * reference.action_scale(self.standing, self.commands.current[:, 3:]),
                 self.commands.arms,
             ],
             axis=1,

@@ -143,7 +143,7 @@ def total(
         "schedule": 0.8 * ((contact != swing).sum(axis=1) - 2.0),
         "swing_height": 0.6 * np.exp(-((m.sole_height - swing_height) ** 2).sum(axis=1) / 0.002),
         "sole_tilt": -0.6 * np.minimum(m.sole_tilt, 1.0),
-        "sole_yaw": -0.5 * (1 - stand) * np.minimum((m.sole_yaw**2).sum(axis=1), 0.5),
+        "sole_yaw": -(0.5 + 5.5 * stand) * np.minimum((m.sole_yaw**2).sum(axis=1), 0.5),
         "slip": -0.4 * np.minimum((m.sole_speed * contact).sum(axis=1), 2.0),
         "stance": -8.0 * np.maximum(0.20 - m.stance_width, 0)
         - 6.0 * stop * np.maximum(0.23 - m.stance_width, 0)
