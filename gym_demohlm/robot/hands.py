@@ -42,7 +42,7 @@ class RubberPalm:
     toe_in: float = 0.06
     half_size: tuple[float, float, float] = (0.058, 0.028, 0.036)
     friction: tuple[float, float, float] = (1.2, 0.025, 0.0005)
-    solref: tuple[float, float] = (0.008, 1.0)
+    solref: tuple[float, float] = (0.0065, 1.0)
     solimp: tuple[float, float, float] = (0.35, 0.99, 0.01)
 
 
