@@ -18,7 +18,7 @@ def test_a_constant_error_is_corrected() -> None:
         np.array([[0.1, -0.02, 0.03, 0.05, 0.02]]),
         np.zeros((1, 5)),
     )
-    for _ in range(round(3.0 / reference.CONTROL_DT)):
+    for _ in range(round(12.0 / reference.CONTROL_DT)):
         correction = trim.advance(correction, told, told + correction + bias, _CONSTANT)
     np.testing.assert_allclose(correction, -bias, atol=2e-4)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from gym_demohlm.control import reference
 
-RATE = 2.0  # 1/s: error that is corrected in a second, as a share of what there is of it
+RATE = 0.7  # 1/s: error that is corrected in a second, as a share of what there is of it; slower than hands are led
 FADE = 2.0  # 1/s: correction that is lost in a second where there is nothing to learn, likewise
-LIMITS = np.array([0.25, 0.04, 0.08, 0.12, 0.08])  # rad/s, m, rad: yaw rate; torso height, roll, pitch, yaw
+LIMITS = np.array([0.25, 0.04, 0.08, 0.08, 0.08])  # rad/s, m, rad: yaw rate; torso height, roll, pitch, yaw
 
 
 def advance(trim: np.ndarray, told: np.ndarray, measured: np.ndarray, constant: np.ndarray) -> np.ndarray:
