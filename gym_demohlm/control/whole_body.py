@@ -183,8 +183,8 @@ class WholeBodyController:
         )
         turning = -(down * gyro).sum(axis=1)
         measured = np.stack([turning, height, *reference.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
-        constant = (np.abs(goal - current) < _CONSTANT).all(axis=1)
-        learns = constant[:, None] & (standing[:, None] == _WHILE_STANDING)
+        constant = (np.abs(goal - current) < _CONSTANT).all(axis=1, keepdims=True)
+        learns = constant & (standing[:, None] == _WHILE_STANDING)
         correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns)
         torso, torso_height = slewed[:, _TORSO], slewed[:, _TORSO.start]
         trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
