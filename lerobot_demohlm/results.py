@@ -184,6 +184,10 @@ def _controller(lines: list[Line]) -> str:
         f"redrawn every 4 s, arms moving, 0 to {first.get('largest_hand_load', 0):.0f} kg in each hand; pushes are "
         "0.5 m/s every 3 s. Published errors are those of HTD and AMO in their own protocols."
     )
+    for line in runs:
+        if line.get("velocity_only"):
+            note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, "
+            note += f"0 to {line.get('largest_hand_load', 0):.0f} kg in each hand."
     return "**Whole-body controller**\n\n" + _table(["", *columns, "best published"], rows) + note
 
 

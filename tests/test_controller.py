@@ -81,3 +81,17 @@ def test_it_keeps_the_promised_errors() -> None:
     assert found["height_error"] < 0.03
     assert found["torso_pitch_error"] < 0.06
     assert found["survival"] > 0.9
+
+
+def test_coming_to_a_stand_does_not_turn_it() -> None:
+    """The soles of a robot that stands nearly upright stay where they were put, and so does its heading."""
+    told = np.tile(command.rest(), (6, 1))
+    told[:, :2] = [[0.05, 0.0], [0.1, 0.0], [0.3, 0.0], [-0.2, 0.0], [0.0, 0.2], [0.0, -0.2]]
+    simulation = Simulation(benchmark.BENCHMARK_TASK, num_worlds=len(told))
+    simulation.reset([simulation.task.default_state()] * len(told))
+    headings = []
+    for step in range(55):
+        simulation.step(told if step < 30 else np.tile(command.rest(), (len(told), 1)))
+        headings.append(np.arctan2(*simulation.pose("pelvis")[:, [1, 0], 0].T))
+    swaying = np.mean(headings[30:37], axis=0)  # a gait period, in which it squares up its feet
+    assert np.abs(headings[-1] - swaying).max() < 0.03

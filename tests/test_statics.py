@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from gym_demohlm.control import arm_load, features, leg_ik, reference
+from gym_demohlm.control import arm_load, attitude, features, leg_ik, reference
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc import quasi_static
 
@@ -103,7 +103,7 @@ def test_servos_weigh_what_the_hands_carry(tables: tuple[np.ndarray, ...]) -> No
         dofs = [model.model.joint(f"{joint}_joint").dofadr[0] for joint in features.OBSERVED_ARM_JOINTS]
         targets = arms + data.qfrc_bias[dofs] / stiffness  # what the servos give under the weight
         down_pelvis = -data.body("pelvis").xmat.reshape(3, 3)[2]
-        down = reference.in_torso(down_pelvis[None], joints[None, 12:15])
+        down = attitude.in_torso(down_pelvis[None], joints[None, 12:15])
         np.testing.assert_allclose(down[0], -data.body("torso_link").xmat.reshape(3, 3)[2], atol=1e-9)
         found = np.zeros((1, 2))
         for _ in range(400):
@@ -136,9 +136,9 @@ def test_reference_keeps_the_weight_over_the_soles_wherever_torso_and_arms_are(t
         command[0, 3:] = rng.uniform([0.55, -0.3, 0.0, -0.9], [0.74, 0.3, 1.0, 0.9])
         arms = _random_arms(rng)
         at_rest = np.full(1, reference.REST_PHASES[0]), np.ones(1, dtype=bool), np.zeros((1, 2))
-        ahead, right = reference.lean(*command[:, 4:7].T)
+        ahead, right = attitude.lean(*command[:, 4:7].T)
         _, tilt, _ = pose.statics(command[:, 3], ahead)
-        (tilt,), (bank,) = reference.pelvis_attitude(ahead, right, tilt)
+        (tilt,), (bank,) = attitude.pelvis_attitude(ahead, right, tilt)
         moment = pose.arms_moment(command, arms[None], np.zeros((1, 2)))
         offsets = []
         for counted in (moment, 0 * moment):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gym_demohlm.control import command, reference, trim
+from gym_demohlm.control import attitude, command, reference, trim
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.benchmark import tracked
 from gym_demohlm.wbc.trial import trial_task
@@ -41,7 +41,7 @@ def test_a_torso_that_is_held_back_stays_within_bounds_and_forgets() -> None:
 def test_roll_and_pitch_are_those_of_the_attitude() -> None:
     angles = np.random.default_rng(0).uniform([-3, -1.4, -1.4], [3, 1.4, 1.4], (50, 3))  # yaw, pitch, roll
     down = Rotation.from_euler("ZYX", angles).inv().apply([0.0, 0.0, -1.0])
-    roll, pitch = reference.roll_pitch(down)
+    roll, pitch = attitude.roll_pitch(down)
     np.testing.assert_allclose(np.column_stack([pitch, roll]), angles[:, 1:], atol=1e-9)
 
 

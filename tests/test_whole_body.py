@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gym_demohlm.control import arm_load, command, features, odometry, reference
+from gym_demohlm.control import arm_load, attitude, command, features, odometry, reference
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FORMAT, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
@@ -126,7 +126,7 @@ def test_admissible_postures_keep_the_weight_over_the_soles_and_the_waist_within
     np.testing.assert_allclose(reference.admissible(found, found, rest), found, atol=1e-9)  # nothing is left to change
     assert (found[:, [0, 1, 2, 3, 6]] == goal[:, [0, 1, 2, 3, 6]]).all()
     assert np.abs(found - goal).mean(axis=0)[[4, 5]].max() < 0.01  # rad: few postures are out of reach
-    ahead, aside = reference.lean(*found[:, 4:7].T)
+    ahead, aside = attitude.lean(*found[:, 4:7].T)
     floor = reference.LEAN_BACK + reference.LEAN_BACK_SLOPE * (found[:, 3] - reference.LEAN_BACK_HEIGHT)
     assert (ahead > floor - 0.05).all()
     assert (np.sin(np.abs(aside)) < 0.85).all()
@@ -145,9 +145,9 @@ def test_soles_turn_only_in_steps_and_outside_the_postures_of_a_walk() -> None:
 def test_waist_turns_the_torso_to_its_commanded_attitude() -> None:
     rng = np.random.default_rng(6)
     roll, pitch, yaw = rng.uniform([[-0.3], [-0.25], [-0.8]], [[0.3], [0.8], [0.8]], (3, 200))
-    forward, right = reference.lean(roll, pitch, yaw)
-    tilt, bank = reference.pelvis_attitude(forward, right, 0.4 * forward)
-    waist_roll, waist_pitch = reference.waist_angles(roll, pitch, yaw, tilt, bank)
+    forward, right = attitude.lean(roll, pitch, yaw)
+    tilt, bank = attitude.pelvis_attitude(forward, right, 0.4 * forward)
+    waist_roll, waist_pitch = attitude.waist_angles(roll, pitch, yaw, tilt, bank)
     inside = (np.abs(waist_roll) < 0.499) & (np.abs(waist_pitch) < 0.499)
     assert inside.mean() > 0.7
     found = Rotation.from_euler("YX", np.column_stack([tilt, bank])) * Rotation.from_euler(

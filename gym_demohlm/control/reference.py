@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gym_demohlm.control import features, leg_ik
+from gym_demohlm.control import attitude, features, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.robot import g1
 
@@ -68,14 +68,9 @@ TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
 # rad per Nm of arms held out ahead, hip pitch, knee, ankle pitch: a leg bears half, its knee is half-way to the ankle.
 _ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
-_WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
-_WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
-_WAIST_BEND = 0.48  # rad
-_LARGEST_BANK = 0.45  # rad: one hip closes by this much
 _WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
 _BOTH_DOWN = 0.5 - GAIT.swing  # part of the period from a foot's touch-down to the other's lift-off
-_WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
@@ -190,11 +185,6 @@ def advance_clock(
     return np.where(stands, rest, moved), stopped, stands
 
 
-def comfortable_pitch(lean: float) -> float:
-    """Return the pelvis pitch [rad] of a forward lean: the waist takes 0.6 of it within its comfortable range."""
-    return lean - min(max(0.6 * lean, _WAIST_LEAN[0]), _WAIST_LEAN[1])
-
-
 def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     """Return which interval of an even axis a value is in, where in it in [0, 1], and intervals a unit (0 outside)."""
     first, a_unit = float(axis[0]), (len(axis) - 1) / float(axis[-1] - axis[0])
@@ -202,79 +192,6 @@ def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     index = min(max(int(place), 0), len(axis) - 2)
     inside = 0.0 <= place <= len(axis) - 1
     return index, min(max(place - index, 0.0), 1.0), a_unit if inside else 0.0
-
-
-def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share a lean between the pelvis and the waist, which bends by ``_WAIST_BEND`` at most in any direction.
-
-    Args:
-        ahead: (N,) forward lean of the torso [rad].
-        aside: (N,) its lean to the right.
-        tilt: (N,) the pitch that the pelvis should have.
-
-    Returns:
-        Pitch and roll of the pelvis (N,), (N,) [rad].
-    """
-    waist_ahead, waist_aside = ahead - tilt, np.clip(aside, -_WAIST_ROLL, _WAIST_ROLL)
-    share = np.minimum(_WAIST_BEND / np.maximum(np.hypot(waist_ahead, waist_aside), _WAIST_BEND), 1.0)
-    bank = np.clip(aside - share * waist_aside, -_LARGEST_BANK, _LARGEST_BANK)
-    return ahead - share * waist_ahead, bank
-
-
-def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far a torso leans forward and to its right in the heading frame of the pelvis [rad].
-
-    Args:
-        roll: (N,) torso roll against gravity.
-        pitch: (N,) torso pitch against gravity.
-        yaw: (N,) torso yaw against the pelvis.
-    """
-    ahead, left, up = np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)
-    x, y = np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left
-    return np.arctan2(x, up), np.arctan2(-y, np.hypot(x, up))
-
-
-def waist_angles(
-    roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray, tilt: np.ndarray, bank: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the waist for a torso attitude on a tilted pelvis.
-
-    With R_pelvis = Ry(tilt) Rx(bank), R_torso = R_pelvis Rz(yaw) Rx(waist roll) Ry(waist pitch) must see gravity where
-    a torso of this roll and pitch sees it.
-
-    Args:
-        roll: (N,) torso roll against gravity [rad].
-        pitch: (N,) torso pitch against gravity.
-        yaw: (N,) waist yaw.
-        tilt: (N,) pelvis pitch.
-        bank: (N,) pelvis roll.
-
-    Returns:
-        Waist roll and pitch (N,), (N,) within the waist's range.
-    """
-    x0, y0, z0 = -np.sin(tilt), np.sin(bank) * np.cos(tilt), np.cos(bank) * np.cos(tilt)  # up in the pelvis frame
-    x1, y1 = np.cos(yaw) * x0 + np.sin(yaw) * y0, np.cos(yaw) * y0 - np.sin(yaw) * x0
-    ux, uy, uz = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)  # up in the torso frame
-    length = np.maximum(np.hypot(y1, z0), 1e-6)
-    waist_roll = np.arcsin(np.clip(uy / length, -1, 1)) - np.arctan2(y1, z0)
-    waist_roll = np.clip(waist_roll, -_WAIST_LIMIT, _WAIST_LIMIT)
-    z1 = np.cos(waist_roll) * z0 - np.sin(waist_roll) * y1
-    waist_pitch = np.arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
-    return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
-
-
-def in_torso(v: np.ndarray, waist: np.ndarray) -> np.ndarray:
-    """Turn vectors (N, 3) from the pelvis frame into that of the torso; waist (N, 3) is yaw, roll, pitch [rad]."""
-    (x, y, z), (yaw, roll, pitch) = v.T, np.ascontiguousarray(waist.T)
-    x, y = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
-    y, z = np.cos(roll) * y + np.sin(roll) * z, np.cos(roll) * z - np.sin(roll) * y
-    return np.stack([np.cos(pitch) * x - np.sin(pitch) * z, y, np.cos(pitch) * z + np.sin(pitch) * x], axis=1)
-
-
-def roll_pitch(down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return roll and pitch (N,) [rad] of the frame in which gravity points along ``down`` (N, 3)."""
-    x, y, z = np.ascontiguousarray(-down.T)
-    return np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
 
 
 def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -386,9 +303,9 @@ class Reference:
         """
         # Columns in one piece: NumPy may round a sine of a strided part otherwise.
         vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
-        forward, right = lean(roll, pitch, yaw)
+        forward, right = attitude.lean(roll, pitch, yaw)
         shift, tilt, _ = self.statics(height, forward)
-        tilt, bank = pelvis_attitude(forward, right, tilt)
+        tilt, bank = attitude.pelvis_attitude(forward, right, tilt)
         offset = moment / g1.MASS
         shift = shift + np.cos(yaw) * offset[:, 0] - np.sin(yaw) * offset[:, 1]
         aside = np.sin(yaw) * offset[:, 0] + np.cos(yaw) * offset[:, 1] - LATERAL_SHIFT * np.sin(right)
@@ -414,7 +331,7 @@ class Reference:
         legs = leg_ik.solve(ankles, yaw_rate[:, None] * progress, tilt, bank)
         targets[:, :12] = legs.reshape(len(command), 12)
         targets[:, 12] = yaw
-        targets[:, 13], targets[:, 14] = waist_angles(roll, pitch, yaw, tilt, bank)
+        targets[:, 13], targets[:, 14] = attitude.waist_angles(roll, pitch, yaw, tilt, bank)
         return targets
 
     def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
@@ -430,7 +347,7 @@ class Reference:
             (N, 15) [rad]. Of the weight a leg bears half while standing, all of it while the other swings.
         """
         height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
-        _, _, legs = self.statics(height, lean(roll, pitch, yaw)[0])
+        _, _, legs = self.statics(height, attitude.lean(roll, pitch, yaw)[0])
         ahead, aside = GRAVITY * moment.T  # Nm
         legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right

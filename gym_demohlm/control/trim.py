@@ -1,15 +1,15 @@
 """What a robot was told and what it does -> the slow correction of what it is told.
 
 A policy leaves a constant error where its reward does not see one; integrating the error takes it away, of the torso
-while it stands and of the turning while it walks. The bounds are small: a torso that something holds back pushes
-little harder with time.
+while it stands and of the turning while it walks. Policies are trained without it. The bounds are small and the rate is
+slow: a torso that something holds back pushes little harder with time, and whoever leads the hands is quicker.
 """
 
 import numpy as np
 
 from gym_demohlm.control import reference
 
-RATE = 0.7  # 1/s: error that is corrected in a second, as a share of what there is of it; slower than hands are led
+RATE = 0.7  # 1/s: error that is corrected in a second, as a share of what there is of it
 FADE = 2.0  # 1/s: correction that is lost in a second where there is nothing to learn, likewise
 LIMITS = np.array([0.25, 0.04, 0.08, 0.08, 0.08])  # rad/s, m, rad: yaw rate; torso height, roll, pitch, yaw
 

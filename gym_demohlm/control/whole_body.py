@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.control import command, features, odometry, reference, trim
+from gym_demohlm.control import attitude, command, features, odometry, reference, trim
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
@@ -165,7 +165,7 @@ class WholeBodyController:
         down = features.gravity(quat_wxyz)
         velocity, sole_tilt, height = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
         velocity = odometry.smooth(state[:, _VELOCITY], velocity)
-        down_torso = reference.in_torso(down, q[:, _LEGS : reference.NUM_LOWER])
+        down_torso = attitude.in_torso(down, q[:, _LEGS : reference.NUM_LOWER])
         carried = self.reference.arm_load.weigh(
             state[:, _CARRIED],
             state[:, _ARM_TARGETS],
@@ -182,7 +182,7 @@ class WholeBodyController:
             reference.startled(velocity, sole_tilt),
         )
         turning = -(down * gyro).sum(axis=1)
-        measured = np.stack([turning, height, *reference.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
+        measured = np.stack([turning, height, *attitude.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
         constant = (np.abs(goal - current) < _CONSTANT).all(axis=1, keepdims=True)
         learns = constant & (standing[:, None] == _WHILE_STANDING)
         correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.control import command, reference
+from gym_demohlm.control import attitude, command, reference
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import STEP_DT, Simulation
@@ -50,14 +50,14 @@ def tracked(simulation: Simulation) -> dict[str, np.ndarray]:
     heading = np.arctan2(T_pelvis[:, 1, 0], T_pelvis[:, 0, 0])
     velocity = simulation.qvel[:, :3]
     cos, sin = np.cos(heading), np.sin(heading)
-    up = T_torso[:, 2, :3]
+    roll, pitch = attitude.roll_pitch(-T_torso[:, 2, :3])
     return {
         "forward": cos * velocity[:, 0] + sin * velocity[:, 1],
         "sideways": cos * velocity[:, 1] - sin * velocity[:, 0],
         "yaw_rate": (T_pelvis[:, 2, :3] * simulation.gyro).sum(axis=1),
         "height": T_pelvis[:, 2, 3],
-        "roll": np.arctan2(up[:, 1], up[:, 2]),
-        "pitch": np.arctan2(-up[:, 0], np.hypot(up[:, 1], up[:, 2])),
+        "roll": roll,
+        "pitch": pitch,
         "yaw": simulation.joint_positions[:, g1.BODY_JOINTS.index("waist_yaw")],
     }
 

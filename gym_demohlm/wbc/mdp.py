@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from gym_demohlm.control import features, odometry, reference
+from gym_demohlm.control import attitude, features, odometry, reference
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc import rewards
 from gym_demohlm.wbc.commands import CommandSampler
@@ -146,7 +146,7 @@ class WholeBodyMdp:
         moment = self.reference.arms_moment(command, self.commands.arms[worlds], np.zeros((count, 2)))
         at_rest = np.ones(count, dtype=bool), np.zeros((count, 2))
         targets = self.reference.pose(command, self.phase[worlds], *at_rest, moment)
-        lean, _ = reference.lean(command[:, 4], command[:, 5], command[:, 6])
+        lean, _ = attitude.lean(command[:, 4], command[:, 5], command[:, 6])
         _, tilt, _ = self.reference.statics(command[:, 3], lean)
         qpos = np.zeros((count, 7 + _JOINTS))
         qpos[:, 2] = command[:, 3] + 0.01
@@ -238,7 +238,7 @@ class WholeBodyMdp:
             self._targets[:, reference.NUM_LOWER :],
             qpos[:, 7 + reference.NUM_LOWER :],
             qvel[:, 6 + reference.NUM_LOWER :],
-            reference.in_torso(down, qpos[:, 7 + _LEGS : 7 + reference.NUM_LOWER]),
+            attitude.in_torso(down, qpos[:, 7 + _LEGS : 7 + reference.NUM_LOWER]),
             reference.CONTROL_DT,
         )
         self.velocity = odometry.smooth(self.velocity, velocity)

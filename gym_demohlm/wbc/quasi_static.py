@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from gym_demohlm.control import arm_load, leg_ik, reference
+from gym_demohlm.control import arm_load, attitude, leg_ik, reference
 from gym_demohlm.robot import g1
 
 SOLE_CENTRE = 0.03  # m ahead of the ankle: where the centre of mass should be; the sole reaches from -0.05 to 0.12
@@ -71,7 +71,7 @@ def tables() -> tuple[np.ndarray, np.ndarray]:
     table = np.zeros((len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 2 + len(_PITCH_JOINTS)))
     for i, height in enumerate(reference.TABLE_HEIGHTS):
         for j, pitch in enumerate(reference.TABLE_PITCHES):
-            tilt = reference.comfortable_pitch(pitch)
+            tilt = attitude.comfortable_pitch(pitch)
             shift, leg, ahead = _best_stance(figure, height, pitch, tilt)
             while ahead < -_BEHIND and tilt + _TILT_STEP < pitch + _WAIST_BACK + 1e-9:
                 tilt += _TILT_STEP

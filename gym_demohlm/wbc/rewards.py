@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gym_demohlm.control import reference
+from gym_demohlm.control import attitude, reference
 from gym_demohlm.control.features import gravity
 
 
@@ -34,11 +34,6 @@ class Measured:
     stance_length: np.ndarray  # (N,) left sole ahead of the right one [m]
 
 
-def _roll_pitch(quat_wxyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    up = -gravity(quat_wxyz)
-    return np.arctan2(up[:, 1], up[:, 2]), np.arctan2(-up[:, 0], np.hypot(up[:, 1], up[:, 2]))
-
-
 def _yaw(quat_wxyz: np.ndarray) -> np.ndarray:
     w, x, y, z = quat_wxyz.T
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -54,8 +49,11 @@ def measure(qpos: np.ndarray, qvel: np.ndarray, sensors: np.ndarray, address: di
     yaw = _yaw(quat)
     cos, sin = np.cos(yaw), np.sin(yaw)
     up = -gravity(quat)
-    torso_roll, torso_pitch = _roll_pitch(sensors[:, address["torso_quat"]])
+    torso_roll, torso_pitch = attitude.roll_pitch(gravity(sensors[:, address["torso_quat"]]))
     soles = [sensors[:, address[f"{side}_sole_pos"]] for side in ("left", "right")]
+    sole_attitude = [
+        attitude.roll_pitch(gravity(sensors[:, address[f"{side}_sole_quat"]])) for side in ("left", "right")
+    ]
     sole_velocity = [sensors[:, address[f"{side}_sole_vel"]] for side in ("left", "right")]
     sole_quat = [sensors[:, address[f"{side}_sole_quat"]] for side in ("left", "right")]
     touch = [sensors[:, address[f"{side}_sole_touch"]][:, 0] for side in ("left", "right")]
@@ -76,7 +74,7 @@ def measure(qpos: np.ndarray, qvel: np.ndarray, sensors: np.ndarray, address: di
         touch=np.stack(touch, axis=1),
         sole_height=np.stack([sole[:, 2] for sole in soles], axis=1),
         sole_speed=np.stack([(velocity[:, :2] ** 2).sum(axis=1) for velocity in sole_velocity], axis=1),
-        sole_tilt=sum((np.square(_roll_pitch(quat)).sum(axis=0) for quat in sole_quat), np.zeros(len(qpos))),
+        sole_tilt=np.square(sole_attitude).sum(axis=(0, 1)),
         sole_yaw=_wrap(np.stack([_yaw(quat) for quat in sole_quat], axis=1) - yaw[:, None]),
         stance_width=-sin * between[:, 0] + cos * between[:, 1],
         stance_length=cos * between[:, 0] + sin * between[:, 1],
