@@ -186,8 +186,9 @@ def _controller(lines: list[Line]) -> str:
     )
     for line in runs:
         if line.get("velocity_only"):
-            note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, "
-            note += f"0 to {line.get('largest_hand_load', 0):.0f} kg in each hand."
+            load = line.get("largest_hand_load")
+            hands = f"0 to {load:g} kg in each hand" if load else "empty hands"
+            note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, {hands}."
     return "**Whole-body controller**\n\n" + _table(["", *columns, "best published"], rows) + note
 
 
