@@ -1,6 +1,7 @@
 """The shipped controller on the deployment model stands, walks where it is told, squats and bends; training runs."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,10 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     with pytest.raises(train.SceneError, match="exists already"):
         train.train(tmp_path / "run", config, hours=1 / 3600)
     train.train(tmp_path / "run", config, hours=1 / 3600, resume=True)
-    assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["iteration"] > len(lines)
+    more = (tmp_path / "run" / "log.jsonl").read_text()
+    assert json.loads(more.splitlines()[-1])["iteration"] > len(lines)
+    train.train(tmp_path / "run", replace(config, max_steps=1), hours=1.0, resume=True)  # it has made more than that
+    assert (tmp_path / "run" / "log.jsonl").read_text() == more
 
 
 @pytest.mark.slow
