@@ -103,10 +103,12 @@ def _generation(lines: list[Line]) -> str:
                 rate,
                 f"{paper}" if paper else "-",
                 failed or "none",
+                f"{line['episode_s']:.1f}" if line.get("episode_s") else "-",
                 line["commit"],
             ]
         )
-    header = ["task", "region", "attempts", "success % (95 % interval)", "paper %", "failures", "commit"]
+    header = ["task", "region", "attempts", "success % (95 % interval)", "paper %"]
+    header += ["failures", "s an episode", "commit"]
     return "**Generation**, every attempt counted\n\n" + _table(header, rows)
 
 

@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from synthetic import make_episode, make_facts
 
 from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
 from gym_demohlm.task import all_tasks
 from lerobot_demohlm import cli, results
+from lerobot_demohlm.dataset import write_facts
 from lerobot_demohlm.experiments import page, paper, plots, tables
+from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell, plan, stamp
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
 
@@ -68,6 +71,19 @@ def test_smaller_sizes_come_from_the_larger_dataset(tmp_path: Path) -> None:
     assert own.dataset("LiftBox", "R2", 100) != first
     own.dataset("LiftBox", "R3", 5000).mkdir()
     assert own.dataset("LiftBox", "R3", 100) == first
+
+
+def test_a_region_counts_the_first_attempts_of_a_dataset_to_train_on(tmp_path: Path) -> None:
+    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
+    root = own.dataset(cell.task, cell.region, 2)
+    outcomes = ["success", "fell", "success", "success"]
+    (root / "meta").mkdir(parents=True)
+    write_facts(root, make_facts(), [make_episode(i, outcome=outcome).record() for i, outcome in enumerate(outcomes)])
+    line = run_cell(cell, own, Effort(num_attempts=3, deadline=0.0))
+    assert line is not None and cell.is_of(line)
+    assert (line["attempts"], line["successes"], line["outcomes"]["fell"]) == (3, 2, 1)
+    assert line["episode_s"] == pytest.approx(1.2)
+    assert run_cell(cell, own, Effort(num_attempts=5, deadline=0.0)) is None, "there are not so many, and no time"
 
 
 def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.dataset import read_facts
+from lerobot_demohlm.dataset import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation import FIRST_SEED, evaluate
 from lerobot_demohlm.experiments.plan import VARIANTS, Cell, Layout, RegionCell, stamp
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
@@ -63,22 +63,37 @@ def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> Line | 
 
 
 def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None:
-    root = layout.generation(cell, effort.num_attempts)
-    if effort.is_over:
-        return None
-    shutil.rmtree(root, ignore_errors=True)  # a dataset whose line was never written
-    summary = generate(
-        GenerationRequest(
-            task=cell.task,
-            region=cell.region,
-            seed=DATA_SEED,
-            root=root,
-            num_attempts=effort.num_attempts,
-            num_workers=effort.num_workers,
-            show_progress=False,
-        )
+    """Return the line of the first attempts in a region: those of a dataset that was made to train on, or new ones."""
+    count = effort.num_attempts
+    held = (read_attempts(path) for path in layout.datasets(cell.task, cell.region))
+    records = next((found for found in held if len(found) >= count), None)
+    if records is None:
+        if effort.is_over:
+            return None
+        root = layout.generation(cell, count)
+        shutil.rmtree(root, ignore_errors=True)  # a dataset whose line was never written
+        generate(replace(_request(cell, root, effort), num_attempts=count))
+        records = read_attempts(root)
+    lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
+    return {
+        **asdict(cell),
+        "seed": DATA_SEED,
+        **count_attempts(records[:count]),
+        "episode_s": round(sum(lengths) / len(lengths), 2) if lengths else None,
+        "stamp": stamp(cell.task),
+    }
+
+
+def _request(cell: Cell | RegionCell, root: Path, effort: Effort) -> GenerationRequest:
+    """Return the request for a cell's dataset, without its size; a larger one begins with the same attempts."""
+    return GenerationRequest(
+        task=cell.task,
+        region=cell.region,
+        seed=DATA_SEED,
+        root=root,
+        num_workers=effort.num_workers,
+        show_progress=False,
     )
-    return asdict(summary) | {"stamp": stamp(cell.task)}
 
 
 def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
@@ -86,16 +101,8 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
     if not dataset.exists():
         if effort.is_over:
             return None
-        request = GenerationRequest(
-            task=cell.task,
-            region=cell.region,
-            seed=DATA_SEED,
-            root=dataset,
-            num_episodes=cell.num_train_episodes,
-            num_workers=effort.num_workers,
-            show_progress=False,
-        )
-        generate(replace(request, **VARIANTS[cell.variant]))
+        options = {"num_episodes": cell.num_train_episodes, **VARIANTS[cell.variant]}
+        generate(replace(_request(cell, dataset, effort), **options))
     training = layout.training(cell)
     if not _times_file(training).exists():
         if effort.is_over:

@@ -102,6 +102,11 @@ def _suffix(variant: str) -> tuple[str, ...]:
     return () if variant == PLAIN else (variant,)
 
 
+def _stem(task: str, region: str, variant: str = PLAIN) -> str:
+    """Return what the names of datasets begin with."""
+    return "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
+
+
 @functools.cache
 def stamp(task: str) -> str:
     """Return eight letters that change with the controller or with the task's demonstration."""
@@ -181,15 +186,18 @@ class Layout:
 
     def dataset(self, task: str, region: str, size: int, variant: str = PLAIN) -> Path:
         """Return the smallest dataset there is with so many episodes, or where to make one."""
-        stem = "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
-        held = {path: int(path.name.rpartition("_")[2]) for path in (self.root / "data").glob(f"{stem}_*[0-9]")}
-        enough = [path for path, count in held.items() if count >= size]
-        return min(enough, key=lambda path: held[path], default=self.root / "data" / f"{stem}_{size}")
+        held = self.datasets(task, region, variant)
+        sizes = {count: path for path, count in held.items() if count >= size}
+        return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant)}_{size}"
+
+    def datasets(self, task: str, region: str, variant: str = PLAIN) -> dict[Path, int]:
+        """Return the datasets that there are, and how many episodes each has."""
+        found = (self.root / "data").glob(f"{_stem(task, region, variant)}_*[0-9]")
+        return {path: int(path.name.rpartition("_")[2]) for path in sorted(found)}
 
     def generation(self, cell: RegionCell, num_attempts: int) -> Path:
         """Return where the attempts of a region are made."""
-        stem = f"{provenance.file_name(get_task(cell.task))}_{cell.region.lower()}_{stamp(cell.task)}"
-        return self.root / "regions" / f"{stem}_{num_attempts}"
+        return self.root / "regions" / f"{_stem(cell.task, cell.region)}_{num_attempts}"
 
     def training(self, cell: Cell) -> Path:
         """Return where a cell is trained."""
