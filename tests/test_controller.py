@@ -77,6 +77,22 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     assert (tmp_path / "run" / "log.jsonl").read_text() == more
 
 
+def test_a_first_evaluation_finds_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.train")
+    from gym_demohlm.wbc import benchmark
+    from gym_demohlm.wbc.train_config import MdpConfig, TrainConfig
+
+    def quick(path: Path) -> dict[str, float]:
+        return {"iteration": WholeBodyController(1, path).weights.metadata["iteration"]}
+
+    monkeypatch.setattr(benchmark, "quick", quick)
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, num_processes=1, save_every=1000, evaluate_every=1, max_steps=2 * 24 * 8)
+    train.train(tmp_path / "run", config, hours=1.0)
+    lines = (tmp_path / "run" / "evaluation.jsonl").read_text().splitlines()
+    assert [json.loads(line)["deployment/iteration"] for line in lines] == [1, 2]
+
+
 @pytest.mark.slow
 def test_it_keeps_the_promised_errors() -> None:
     found = benchmark.benchmark(num_worlds=64, seconds=20.0, seed=3)

@@ -117,9 +117,10 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
             statistics |= _raise_levels(env, progress, config)
             if rank == 0:
                 _log(output, runner, {**vars(progress), **statistics})
-        if rank == 0 and progress.iteration % config.save_every == 0:
+        evaluates = progress.iteration % config.evaluate_every == 0
+        if rank == 0 and (evaluates or progress.iteration % config.save_every == 0):
             _save(runner, env, output, progress, config)
-        if rank == 0 and progress.iteration % config.evaluate_every == 0:
+        if rank == 0 and evaluates:
             _evaluate(output, runner, progress)
     if rank == 0:
         _save(runner, env, output, progress, config)
