@@ -208,7 +208,7 @@ def test_ctrl_c_says_what_is_kept(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runner, "make_blocks", interrupted)
-    command = ["generate", "--task", "LiftBox", "--num-attempts", "20", "--root", str(tmp_path / "data")]
+    command = ["generate", "--task", "LiftBox", "--num-attempts", "40", "--root", str(tmp_path / "data")]
     assert cli.main(command) == cli.INTERRUPTED
     last = capsys.readouterr().err.splitlines()[-1]
     kept = f"{runner.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"

@@ -33,7 +33,7 @@ from lerobot_demohlm.generation_block import write_block
 from lerobot_demohlm.generation_run import GenerationRun
 from lerobot_demohlm.segmentation import segment
 
-BLOCK_SIZE = 16  # attempts a block: worlds side by side, and what a kill can lose of each worker
+BLOCK_SIZE = 32  # attempts a block: worlds that share the cost of a tick, and what a kill loses of each worker
 MAX_DEATHS = 3  # of workers at one block, before the run gives up
 Backend = Literal["processes", "ray"]
 
