@@ -73,7 +73,7 @@ class Bench:
         num_workers: Of each run, but for the reference, which has one.
     """
 
-    def __init__(self, scratch: Path, num_attempts: int = 96, num_workers: int = 2) -> None:
+    def __init__(self, scratch: Path, num_attempts: int = 192, num_workers: int = 2) -> None:
         self.scratch, self.num_attempts, self.num_workers = scratch, num_attempts, num_workers
         self.demonstration = scratch / "demonstration"
         brief_task.save_demonstration(self.demonstration)
@@ -375,7 +375,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--times", type=int, default=4, help="tries of every other fault (default: %(default)s)")
-    parser.add_argument("--num-attempts", type=int, default=96)
+    parser.add_argument("--num-attempts", type=int, default=192)
     parser.add_argument("--num-workers", type=int, default=2)
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)  # blocks that are made again, in this process

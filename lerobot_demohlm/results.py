@@ -201,6 +201,15 @@ def _robustness(lines: list[Line]) -> str:
     return "**Whole-body controller outside its training**\n\n" + _table(header, rows)
 
 
+_SHARES = {
+    "mj_step": "`mj_step`",
+    "controller": "controller",
+    "inverse_kinematics": "inverse kinematics",
+    "writing": "writing",
+    "python": "the rest",
+}
+
+
 def _time(lines: list[Line]) -> str:
     rows = [
         [
@@ -208,12 +217,12 @@ def _time(lines: list[Line]) -> str:
             line["region"],
             f"{line['seconds_per_episode']:.2f} s",
             f"{line['simulated_s_per_episode']:.1f} s",
-            f"{100 * line['mj_step_share']:.0f} %",
+            *(f"{100 * line[f'{name}_share']:.0f} %" for name in _SHARES),
         ]
         for line in _latest(lines, "task", "region")
     ]
-    header = ["task", "region", "CPU time an episode, one core", "simulated", "share inside mj_step"]
-    return "**Time to generate**\n\n" + _table(header, rows)
+    header = ["task", "region", "CPU time an episode, one core", "simulated", *(f"in {of}" for of in _SHARES.values())]
+    return "**Time to generate**, and where it goes\n\n" + _table(header, rows)
 
 
 def _rate(ours: str, theirs: str, ratio: str) -> Callable[[Line], tuple[str, str, str]]:

@@ -278,7 +278,7 @@ def test_no_attempt_is_there_twice(tmp_path: Path, begun: Path) -> None:
 
 @pytest.fixture(scope="module")
 def bench(faults: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=32)
+    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=64)
 
 
 @pytest.mark.slow

@@ -332,6 +332,14 @@ def test_damaged_weights(tmp_path: Path, data: Any) -> None:
         assert "weights" in error.got
 
 
+def test_weights_of_a_zip_version_to_come_are_refused(tmp_path: Path) -> None:
+    content, path = bytearray(DEFAULT_WEIGHTS.read_bytes()), tmp_path / "weights.npz"
+    content[content.index(b"PK\x01\x02") + 6] = 176  # of the central directory's first entry: version 17.6 is needed
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match="cannot be read .zip file version 17.6"):
+        Weights(path)
+
+
 def test_a_zip_that_promises_too_much_is_refused(tmp_path: Path, copy: Path) -> None:
     """A header that asks for 8 TB of zeros is an error, not an allocation that is tried for ever."""
     header = io.BytesIO()
