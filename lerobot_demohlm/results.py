@@ -191,6 +191,8 @@ def _controller(lines: list[Line]) -> str:
             load = line.get("largest_hand_load")
             hands = f"0 to {load:g} kg in each hand" if load else "empty hands"
             note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, {hands}."
+        if line.get("peer"):
+            note += f" {line['peer']}: {line['peer_file']}, {line['num_worlds']} robots, velocity commands only."
     return "**Whole-body controller**\n\n" + _table(["", *columns, "best published"], rows) + note
 
 

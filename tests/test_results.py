@@ -38,7 +38,14 @@ def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
     errors = {key: 0.08 for key, *_ in results._CONTROLLER}
     ours = {**numbers, **errors, "largest_roll": 0.4, "largest_yaw": 1.0, "largest_hand_load": 2.0}
     axes = {"forward": [-1.0, 1.0]}
-    peer = {**ours, "peer": "holosoma", "linear_velocity_error": 0.25, "commanded": axes, "trained_for": axes}
+    peer = {
+        **ours,
+        "peer": "holosoma",
+        "peer_file": "walk.onnx",
+        "linear_velocity_error": 0.25,
+        "commanded": axes,
+        "trained_for": axes,
+    }
     peer |= dict.fromkeys(("height_error", "largest_roll", "largest_yaw"))
     path = tmp_path / "controller.jsonl"
     results.append(path, "demohlm benchmark controller", ours)
