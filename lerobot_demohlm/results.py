@@ -217,13 +217,15 @@ def _time(lines: list[Line]) -> str:
         [
             line["task"],
             line["region"],
+            f"{line['successes']} of {line['attempts']}",
             f"{line['seconds_per_episode']:.2f} s",
             f"{line['simulated_s_per_episode']:.1f} s",
             *(f"{100 * line[f'{name}_share']:.0f} %" for name in _SHARES),
         ]
         for line in _latest(lines, "task", "region")
     ]
-    header = ["task", "region", "CPU time an episode, one core", "simulated", *(f"in {of}" for of in _SHARES.values())]
+    header = ["task", "region", "succeeded", "CPU time an episode", "simulated"]
+    header += [f"in {of}" for of in _SHARES.values()]
     return "**Time to generate**, and where it goes\n\n" + _table(header, rows)
 
 
@@ -299,6 +301,13 @@ def _faults(lines: list[Line]) -> str:
     return f"{title}\n\n" + _table(["fault", "tried", "survived", "lost"], rows)
 
 
+def _fuzzing(lines: list[Line]) -> str:
+    rows = [
+        [f"{line['executions']:,}", f"{line['seconds']} s", "one" if line["broke"] else "none"] for line in lines[-1:]
+    ]
+    return "**Loaders under a fuzzer**\n\n" + _table(["inputs", "time", "broke a loader"], rows)
+
+
 _SECTIONS = (
     ("generation.jsonl", _generation),
     ("generation.jsonl", regions_table),
@@ -310,6 +319,7 @@ _SECTIONS = (
     ("speed.jsonl", _speed),
     ("workers.jsonl", _workers),
     ("faults.jsonl", _faults),
+    ("fuzzing.jsonl", _fuzzing),
 )
 
 

@@ -66,11 +66,14 @@ def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
     results.append(tmp_path / "workers.jsonl", "python benchmarks/workers.py", compared)
     fault = {"fault": "kill -9", "tried": 50, "survived": 49, "lost": 1, "note": ""}
     results.append(tmp_path / "faults.jsonl", "python benchmarks/faults.py", {"faults": [fault]})
+    fuzzed = {"seconds": 3600, "executions": 100_000, "broke": False}
+    results.append(tmp_path / "fuzzing.jsonl", "python benchmarks/fuzz_loaders.py --seconds 3600", fuzzed)
     text = results.tables(tmp_path)
     assert "| state-only episodes written a second | 110.0 | 5.0 (LeRobot's `save_episode`) | 22 |" in text
     assert "| 505 after 50 episodes | 500 (after a tenth of its episodes) | 1.01 |" in text
     assert "| 2, ray | 5,000 | yes |" in text and "| 2, ray | 5,000 | **no** |" in text
     assert "| kill -9 | 50 | 49 | 1 |" in text
+    assert "| 100,000 | 3600 s | none |" in text
 
 
 def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
