@@ -259,7 +259,9 @@ def draw_comparison(runs: Sequence[Path], path: Path) -> None:
             raise SceneError(got, "the folder of a training run", "train with --evaluate-every")
         steps = _column(lines, "steps") / 1e6
         for axes, name in zip(grid, panels, strict=True):
-            values = _column(lines, f"deployment/{name}") * (100 if name == "survival" else 1)
+            values = _column(lines, f"deployment/{name}")
+            # An error of nothing is that of robots that all fell before anything was measured.
+            values = 100 * values if name == "survival" else np.where(values == 0.0, np.nan, values)
             axes.plot(steps, values, "o-", color=color, markersize=3, linewidth=1.2, label=run.name.replace("_", " "))
     for axes, label in zip(grid, panels.values(), strict=True):
         axes.set(xlabel="control steps [million]", ylabel=label)
