@@ -14,6 +14,7 @@ from typing import Any
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.evaluation import read_records, wilson
 from lerobot_demohlm.experiments.paper import GENERATION
+from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.experiments.tables import experiments_tables, regions_table
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
@@ -81,6 +82,11 @@ def _latest(lines: list[Line], *keys: str) -> list[Line]:
 PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, its architectures table
 
 
+def _made_at(line: Line) -> str:
+    """Return the commit of a line, and whether controller or demonstration are others since."""
+    return line["commit"] if line.get("stamp") == stamp(line["task"]) else f"{line['commit']}, an earlier controller"
+
+
 def _generation(lines: list[Line]) -> str:
     rows = []
     plain = {"retries": 0, "command_noise": 0.0, "start_spread": 1.0}
@@ -104,7 +110,7 @@ def _generation(lines: list[Line]) -> str:
                 f"{paper}" if paper else "-",
                 failed or "none",
                 f"{line['episode_s']:.1f}" if line.get("episode_s") else "-",
-                line["commit"],
+                _made_at(line),
             ]
         )
     header = ["task", "region", "attempts", "success % (95 % interval)", "paper %"]
@@ -119,7 +125,7 @@ def _policies(lines: list[Line]) -> str:
         rate = _percent(line["successes"], line["episodes"])
         size = f"{line['num_train_episodes']} episodes"
         rows.append(
-            [line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, line["commit"]]
+            [line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, _made_at(line)]
         )
     header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %", "commit"]
     title = "**Policies**, last checkpoint, starts never used in generation, success held for 1 s"
@@ -302,10 +308,9 @@ def _faults(lines: list[Line]) -> str:
 
 
 def _fuzzing(lines: list[Line]) -> str:
-    rows = [
-        [f"{line['executions']:,}", f"{line['seconds']} s", "one" if line["broke"] else "none"] for line in lines[-1:]
-    ]
-    return "**Loaders under a fuzzer**\n\n" + _table(["inputs", "time", "broke a loader"], rows)
+    latest = lines[-1]
+    row = [f"{latest['executions']:,}", f"{latest['seconds']} s", "one" if latest["broke"] else "none"]
+    return "**Loaders under a fuzzer**\n\n" + _table(["inputs", "time", "broke a loader"], [row])
 
 
 _SECTIONS = (

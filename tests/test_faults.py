@@ -208,7 +208,15 @@ def test_ctrl_c_says_what_is_kept(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runner, "make_blocks", interrupted)
-    command = ["generate", "--task", "LiftBox", "--num-attempts", "40", "--root", str(tmp_path / "data")]
+    command = [
+        "generate",
+        "--task",
+        "LiftBox",
+        "--num-attempts",
+        str(2 * runner.BLOCK_SIZE),
+        "--root",
+        str(tmp_path / "data"),
+    ]
     assert cli.main(command) == cli.INTERRUPTED
     last = capsys.readouterr().err.splitlines()[-1]
     kept = f"{runner.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"
@@ -278,7 +286,7 @@ def test_no_attempt_is_there_twice(tmp_path: Path, begun: Path) -> None:
 
 @pytest.fixture(scope="module")
 def bench(faults: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=64)
+    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=4 * runner.BLOCK_SIZE)
 
 
 @pytest.mark.slow

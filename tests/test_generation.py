@@ -163,9 +163,10 @@ def test_the_dataset_does_not_depend_on_the_number_of_workers(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_killed_run_resumes_into_the_same_dataset(tmp_path: Path) -> None:
+    num_attempts = runner.BLOCK_SIZE + 4  # a block that is soon there, and one that is not
     command = [
         *(sys.executable, "-m", "lerobot_demohlm.cli", "generate", "--task", "LiftBox", "--region", "R1"),
-        *("--seed", "3", "--num-attempts", "36", "--num-workers", "2", "--root", str(tmp_path / "killed")),
+        *("--seed", "3", "--num-attempts", str(num_attempts), "--num-workers", "2", "--root", str(tmp_path / "killed")),
     ]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     blocks = tmp_path / "killed.partial" / "blocks"
@@ -179,8 +180,9 @@ def test_a_killed_run_resumes_into_the_same_dataset(tmp_path: Path) -> None:
     assert not (tmp_path / "killed").exists()
     finished = subprocess.run(command, capture_output=True, text=True, check=True)
     summary = json.loads(finished.stdout.splitlines()[-1])
-    assert summary["attempts"] == 36
-    whole = generate(request(tmp_path / "whole", num_attempts=36, block_size=runner.BLOCK_SIZE, num_workers=2))
+    assert summary["attempts"] == num_attempts
+    options = {"num_attempts": num_attempts, "block_size": runner.BLOCK_SIZE, "num_workers": 2}
+    whole = generate(request(tmp_path / "whole", **options))
     assert digest(tmp_path / "killed") == digest(tmp_path / "whole")
     assert summary["outcomes"] == whole.outcomes
     assert "attempt" in finished.stderr  # the progress bar
