@@ -209,10 +209,9 @@ def test_killed_while_writing_then_resumed_equals_never_killed(tmp_path: Path) -
         "run = t.GenerationRun.open(Path(sys.argv[1]), 'user/name', make_facts())\n"
         "compute = iter(run.pending_blocks())\n"
         "t.compute(run, next(compute))\n"
-        "save = dataset_files.LeRobotDatasetMetadata.save_episode\n"
-        "def stall(*args):\n"
-        "    save(*args); print('writing', flush=True); time.sleep(60)\n"
-        "dataset_files.LeRobotDatasetMetadata.save_episode = stall\n"
+        "def stall(*_):\n"
+        "    print('writing', flush=True); time.sleep(60)\n"
+        "dataset_files.write_info = stall\n"
         "t.compute(run, next(compute))\n"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
