@@ -160,8 +160,11 @@ def workers_of(process: subprocess.Popen[str]) -> list[int]:
 
 
 def is_clear(code: int, messages: list[str], expected_code: int, words: str) -> bool:
-    """Tell whether a run ended as it should, with one message that says why."""
-    return code == expected_code and len(messages) == 1 and words in messages[0]
+    """Tell whether a run ended as it should, with one message that says why; says what it got where not."""
+    clear = code == expected_code and len(messages) == 1 and words in messages[0]
+    if not clear:
+        print(f"exit code {code}, expected {expected_code}; {messages}, expected {words!r}", file=sys.stderr)
+    return clear
 
 
 def kill(bench: Bench, times: int) -> Tally:
@@ -206,6 +209,7 @@ def keep_killing_workers(bench: Bench, times: int) -> Tally:
 
 def interrupt(bench: Bench, times: int) -> Tally:
     """Press Ctrl-C, which all processes of a run receive."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what is in the background without it
     rng = random.Random(0)
     tried = survived = lost = 0
     while tried < times:
@@ -381,7 +385,6 @@ def main() -> None:
     parser.add_argument("--num-workers", type=int, default=2)
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)  # blocks that are made again, in this process
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what is in the background without it
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(Path(scratch), arguments.num_attempts, arguments.num_workers)

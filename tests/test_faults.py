@@ -32,7 +32,8 @@ def faults() -> Iterator[ModuleType]:
     """Return ``benchmarks/faults.py``; its task is known to these tests alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(task, "_registered", task.all_tasks())
-        patch.delitem(sys.modules, "brief_task", raising=False)
+        for name in ("faults", "brief_task"):
+            patch.delitem(sys.modules, name, raising=False)
         patch.syspath_prepend(BENCHMARKS)
         yield importlib.import_module("faults")
 

@@ -31,7 +31,8 @@ def faults() -> Iterator[ModuleType]:
     """Return ``benchmarks/faults.py``; workers on other nodes find its task too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(task, "_registered", task.all_tasks())
-        patch.delitem(sys.modules, "brief_task", raising=False)
+        for name in ("faults", "brief_task"):
+            patch.delitem(sys.modules, name, raising=False)
         patch.syspath_prepend(BENCHMARKS)
         patch.setenv("PYTHONPATH", f"{BENCHMARKS}:{Path(__file__).parent}")
         yield importlib.import_module("faults")
