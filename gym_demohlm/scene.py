@@ -272,7 +272,7 @@ def _unbalance(spec: mujoco.MjSpec) -> None:
         if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
             for box in body.geoms:
                 if box.type == mujoco.mjtGeom.mjGEOM_BOX and (box.contype or box.conaffinity):
-                    middle = poses.transform(poses.pose(box.pos, box.quat), _SHOT * box.size)
+                    middle = poses.transform(poses.pose(box.pos, box.quat), _SHOT * box.size).tolist()
                     radius = 0.05 * min(box.size)
                     mass = 4 / 3 * math.pi * radius**3 * _LEAD
                     add_picture(body, "sphere", [radius], middle, (0, 0, 0, 0), mass)
