@@ -21,6 +21,7 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.task import get_task
 from gym_demohlm.vector_env import DemoHLMVectorEnv
+from lerobot_demohlm.processes import end_with_parent
 
 NUM_WORLDS = 16  # at a time: as many as the rows that a policy is given at least, see batch_rows.py
 
@@ -223,6 +224,7 @@ _worker: dict[str, Any] = {}
 def _start_worker(loaded: LoadedPolicy, setting: Setting) -> None:
     import torch
 
+    end_with_parent()
     torch.set_num_threads(1)
     _worker.update(loaded=loaded, env=_environment(loaded, setting))
 

@@ -30,6 +30,7 @@ from lerobot_demohlm import fingerprint, provenance, stored
 from lerobot_demohlm.dataset import installed_versions, read_facts
 from lerobot_demohlm.fingerprint import Trail
 from lerobot_demohlm.generation.attempt import held
+from lerobot_demohlm.processes import end_with_parent
 from lerobot_demohlm.stored import ACTION, ENVIRONMENT_STATE, STATE, SUCCESS, StoredEpisode
 
 NUM_WORLDS = 16  # episodes side by side
@@ -153,7 +154,7 @@ def _run(root: Path, task: Task, batches: Sequence[tuple[int, ...]], num_workers
         sim.close()
         return
     work = functools.partial(_check_in_worker, root, task.module, task.name)
-    pool = ProcessPoolExecutor(num_workers, multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(num_workers, multiprocessing.get_context("spawn"), end_with_parent)
     try:
         yield from pool.map(work, batches)
     finally:

@@ -22,6 +22,7 @@ from gym_demohlm.task import get_task
 from lerobot_demohlm import results
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, TABLES, VARIANTS, Cell, Layout, RegionCell, plan
 from lerobot_demohlm.presets import NAMES, POLICIES
+from lerobot_demohlm.processes import end_with_parent
 
 _CHOICES = ("tasks", "sizes", "seeds", "policies", "variants")
 Line = dict[str, Any]
@@ -58,7 +59,7 @@ def reproduce(
     waiting, working, failures, done = missing(cells, layout), {}, [], 0
     modules = sorted({get_task(cell.task).module for cell in waiting})
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(num_workers, mp_context=context, initializer=_know, initargs=(modules,)) as pool:
+    with ProcessPoolExecutor(num_workers, mp_context=context, initializer=_start_worker, initargs=(modules,)) as pool:
         while True:
             for cell in list(waiting):
                 if len(working) >= num_workers or time.monotonic() >= deadline:
@@ -84,8 +85,9 @@ def reproduce(
                     done += 1
 
 
-def _know(modules: Sequence[str]) -> None:
-    """Import what registers the tasks, in a worker: one may be from outside the package."""
+def _start_worker(modules: Sequence[str]) -> None:
+    """Import what registers the tasks: one may be from outside the package."""
+    end_with_parent()
     for module in modules:
         importlib.import_module(module)
 

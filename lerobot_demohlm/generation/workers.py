@@ -8,7 +8,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import threading
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gym_demohlm.errors import DemoHLMError
+from lerobot_demohlm.processes import end_with_parent
 
 Make = Callable[[Path, range], None]
 
@@ -172,7 +172,7 @@ def _shielded() -> Iterator[None]:
 
 def _work(pipe: connection.Connection) -> None:
     """Make the blocks that come through the pipe and answer with None or what went wrong, until the pipe closes."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     with contextlib.suppress(EOFError, BrokenPipeError):
         make, directory = pipe.recv()
         while True:
@@ -187,10 +187,3 @@ def _made(make: Make, directory: Path, attempts: range) -> Exception | None:
     except Exception:
         return RuntimeError(f"attempts {attempts.start} to {attempts.stop - 1}:\n{traceback.format_exc()}")
     return None
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
