@@ -266,7 +266,7 @@ def _unbalance(spec: mujoco.MjSpec) -> None:
     A box that lies on another one in exact balance comes to rest with their faces parallel to the last bit, where
     MuJoCo's collider of boxes (3.11 and before, its issue 3476) sometimes finds a contact as deep as the whole box and
     throws it across the room: 5 cm cubes that only lay on a table, once in 1500 s. A box off balance leans by some
-    1e-7 rad, which is enough, and heavier by a thousandth.
+    1e-7 rad, which is enough; it is heavier by less than half a percent.
     """
     for body in spec.bodies:
         if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):

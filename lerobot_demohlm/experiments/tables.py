@@ -180,7 +180,8 @@ def cost_table(lines: Iterable[Line]) -> str:
             ]
         )
     header = ["policy", "trainings", "a training", "samples/s", "rollouts/h"]
-    return "**Time of the experiments**, medians, one core each\n\n" + markdown(header, rows)
+    title = "**Time of the experiments**, medians of wall-clock time with whatever ran beside, one core each"
+    return f"{title}\n\n" + markdown(header, rows)
 
 
 def experiments_tables(lines: list[Line]) -> str:
