@@ -215,7 +215,7 @@ class Task:
     force_pairs: tuple[tuple[str, str], ...] = ()
     failures: Mapping[str, Predicate] = field(default_factory=dict)
     regions: Mapping[str, Region] = REGIONS
-    episode_length_s: float = 20.0
+    episode_length_s: float = 30.0
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     memory: Memory | None = None

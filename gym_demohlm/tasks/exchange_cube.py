@@ -49,5 +49,5 @@ TASK = Task(
     obstacles=("table",),
     contact_pairs=(("left", "cube"), ("right", "cube")),
     motion_frame="scene",
-    episode_length_s=35.0,
+    episode_length_s=50.0,
 )

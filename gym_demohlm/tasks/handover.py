@@ -51,5 +51,5 @@ TASK = Task(
     obstacles=("table",),
     contact_pairs=(("left", "cube"), ("right", "cube")),
     motion_frame="scene",
-    episode_length_s=25.0,
+    episode_length_s=35.0,
 )

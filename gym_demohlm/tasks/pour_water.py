@@ -89,5 +89,5 @@ TASK = Task(
     contact_pairs=(("right", "bottle"),),
     motion_frame="scene",
     riders={"bottle": DROPS},
-    episode_length_s=35.0,
+    episode_length_s=45.0,
 )

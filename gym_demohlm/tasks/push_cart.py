@@ -92,5 +92,5 @@ TASK = Task(
     obstacles=("bed",),
     contact_pairs=(("left", "bar"), ("right", "bar")),
     regions=limit_yaw(REGIONS, math.pi / 4),
-    episode_length_s=25.0,
+    episode_length_s=35.0,
 )
