@@ -210,6 +210,8 @@ class GenerationFacts:
     """Scale of the noise that commands carry when they are executed, recorded without it (likewise)."""
     start_spread: float = 1.0
     """Factor by which the region's ranges of the robot's pose are widened (likewise)."""
+    stance_spread: float = 0.0
+    """Scale of how far the place is off from which the robot acts on the object (likewise)."""
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
@@ -222,12 +224,12 @@ class GenerationFacts:
                 "one of the two targets, at least 1, and blocks of at least 1",
                 "give --num-episodes or --num-attempts",
             )
-        if not (0.0 <= self.command_noise < math.inf and 1.0 <= self.start_spread < math.inf):
-            raise DatasetError(
-                f"command_noise={self.command_noise}, start_spread={self.start_spread}",
-                "noise of 0 or more, and a spread of 1 or more",
-                "correct --command-noise or --start-spread",
-            )
+        lowest = {"command_noise": 0.0, "start_spread": 1.0, "stance_spread": 0.0}
+        for name, low in lowest.items():
+            if not low <= getattr(self, name) < math.inf:
+                raise DatasetError(
+                    f"{name}={getattr(self, name)}", f"{low:g} or more", f"correct --{name.replace('_', '-')}"
+                )
 
 
 def require_new_root(root: Path) -> None:

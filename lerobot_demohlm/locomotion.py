@@ -24,6 +24,8 @@ class LocomotionSettings:
         bias_within: Errors larger than this are not integrated [m, m, rad].
         window_ticks: Ticks over which the base is averaged, a period of the gait, whose sway is no error.
         coast_s: How long the robot goes on at its speed once it is told to stand [s].
+        settle_shift: How the base then moves while it steps its feet square, in its own frame [m, m, rad]; the mean of
+            what the shipped controller does.
         standoff: Metres to stay back from the goal for a metre of sideways error: turn and line up first, then step in.
         standoff_yaw: The same for a radian of heading error.
         max_standoff: Most of it [m].
@@ -46,6 +48,7 @@ class LocomotionSettings:
     bias_within: tuple[float, float, float] = (0.2, 0.15, 0.3)
     window_ticks: int = 7
     coast_s: float = 0.15
+    settle_shift: tuple[float, float, float] = (-0.05, 0.0, 0.0)
     standoff: float = 1.2
     standoff_yaw: float = 0.35
     max_standoff: float = 0.25
@@ -109,7 +112,7 @@ def walk(
     ticks, bias = 0, np.zeros(3)
     base = BaseEstimate(settings.window_ticks)
     base.update(pelvis())
-    shift = np.zeros(3)  # how the base moves on while it steps its feet square; learnt at a stop that missed the goal
+    shift = np.array(settings.settle_shift)  # learnt anew at a stop that missed the goal
     for _ in range(settings.max_walks):
         while ticks < settings.max_ticks:
             standing = _moved(_coasted(base, settings), shift)

@@ -89,7 +89,7 @@ def _made_at(line: Line) -> str:
 
 def _generation(lines: list[Line]) -> str:
     rows = []
-    plain = {"retries": 0, "command_noise": 0.0, "start_spread": 1.0}
+    plain = {"retries": 0, "command_noise": 0.0, "start_spread": 1.0, "stance_spread": 0.0}
     for line in _latest([{**plain, **line} for line in lines], "task", "region", *plain):
         failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
         paper = GENERATION.get((line["task"], line["region"]))
@@ -101,6 +101,8 @@ def _generation(lines: list[Line]) -> str:
             rate += f", with command noise {line['command_noise']:g}"
         if line["start_spread"] != 1.0:
             rate += f", starts {line['start_spread']:g} times as wide"
+        if line["stance_spread"]:
+            rate += f", stances spread by {line['stance_spread']:g}"
         rows.append(
             [
                 line["task"],

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from synthetic import make_facts
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import REGIONS, get_task
@@ -18,7 +19,7 @@ from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm.dataset import Episode
 from lerobot_demohlm.explain import explain_attempt
 from lerobot_demohlm.generation import command_noise, stages
-from lerobot_demohlm.generation.attempt import Attempts, initial_state
+from lerobot_demohlm.generation.attempt import Attempts, Running, initial_state
 from lerobot_demohlm.generation.command_noise import DEVIATIONS, LARGEST, LONGEST, SHARES, SHORTEST, bursts, disturbed
 from lerobot_demohlm.generation.stages import Settings, chosen_settings
 from lerobot_demohlm.generation_block import write_block
@@ -156,17 +157,48 @@ def test_executed_commands_that_are_tampered_with_are_found(root: Path, capsys: 
 
 
 def test_the_facts_of_a_run_say_how_its_data_is_varied(tmp_path: Path) -> None:
-    facts = make_facts(command_noise=0.5, start_spread=1.2, retries=1)
-    assert chosen_settings(dataclasses.asdict(facts)) == Settings(command_noise=0.5, start_spread=1.2, retries=1)
+    chosen = {"command_noise": 0.5, "start_spread": 1.2, "stance_spread": 0.7, "retries": 1}
+    facts = make_facts(**chosen)
+    assert chosen_settings(dataclasses.asdict(facts)) == Settings(**chosen)
     assert chosen_settings({"task": "LiftBox"}) == Settings()
     GenerationRun.open(tmp_path / "data", "user/name", facts).close()
-    for changes in ({"command_noise": 0.0}, {"start_spread": 1.0}):
+    for changes in ({"command_noise": 0.0}, {"start_spread": 1.0}, {"stance_spread": 0.0}):
         with pytest.raises(DatasetError, match=next(iter(changes))):
             GenerationRun.open(tmp_path / "data", "user/name", dataclasses.replace(facts, **changes))
     words = ["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", str(tmp_path / "wrong")]
-    for option in (["--command-noise", "-1"], ["--command-noise", "nan"], ["--start-spread", "0.5"]):
+    wrong = {"--command-noise": ("-1", "nan"), "--start-spread": ("0.5",), "--stance-spread": ("-1",)}
+    for option in [(name, value) for name, values in wrong.items() for value in values]:
         assert cli.main([*words, *option]) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data.partial"]
+
+
+def test_stances_are_off_by_what_they_may_be_and_the_same_again() -> None:
+    drawn = np.array([stages.stance(3, index, 1.0) for index in range(500)])
+    low, high = stages.STANCE_RANGES.T
+    assert ((low <= drawn) & (drawn <= high)).all()
+    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [low, high], atol=0.003)
+    np.testing.assert_array_equal(stages.stance(3, 7, 1.0), drawn[7])
+    np.testing.assert_allclose(stages.stance(3, 7, 0.5), 0.5 * drawn[7])
+    assert not stages.stance(3, 7, 0.0).any()
+
+
+def test_the_robot_acts_from_the_stance_that_was_drawn() -> None:
+    """The goal of its walk is off by what was drawn, and there it stands when its hands begin."""
+    seen: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    for spread in (0.0, 1.0):
+
+        def watch(attempt: Running, _: np.ndarray, spread: float = spread) -> None:
+            if attempt.playback is not None and attempt.placement is not None:
+                seen.setdefault(spread, (attempt.placement.goal, poses.to_planar(attempt.world.pose("pelvis"))))
+
+        settings = Settings(stance_spread=spread)
+        attempts = Attempts(TASK, demonstrations.load(task=TASK), REGION, SEED, settings=settings, on_command=watch)
+        attempts.run([0])
+        attempts.close()
+    (plain, _), (off, stood) = seen[0.0], seen[1.0]
+    between = poses.invert(poses.planar(*plain)) @ poses.planar(*off)
+    np.testing.assert_allclose(poses.to_planar(between), stages.stance(SEED, 0, 1.0), atol=1e-9)
+    assert np.linalg.norm((stood - off)[:2]) < settings.locomotion.accept_m
 
 
 def test_wider_starts_keep_the_objects_and_stay_as_far_from_them() -> None:

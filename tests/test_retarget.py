@@ -203,6 +203,21 @@ def test_transit_ends_at_its_target_without_jumps(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_joining_a_path_is_its_motion_and_a_transit_together(seed: int) -> None:
+    """A path at rest is joined by a transit, one that begins where the hands are is left as it is, the end is exact."""
+    rng = np.random.default_rng(seed)
+    start, end = random_pose(rng, (2,)), random_pose(rng, (2,))
+    resting = np.broadcast_to(end, (20, 2, 4, 4))
+    joined = retarget.join(start, resting)
+    np.testing.assert_allclose(joined[..., :3, 3], retarget.transit(start, end, 20)[..., :3, 3], atol=1e-9)
+    moving = retarget.transit(start, end, 20)
+    np.testing.assert_allclose(retarget.join(moving[0], moving), moving, atol=1e-9)
+    joined = retarget.join(random_pose(rng, (2,)), moving)
+    np.testing.assert_allclose(joined[-1], end, atol=1e-9)
+    np.testing.assert_allclose(joined @ poses.invert(joined), np.broadcast_to(np.eye(4), joined.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_hands_on_a_walking_base_keep_their_place_on_it(seed: int) -> None:
     scene = Scene(seed)
     moved = random_planar(scene.rng) @ scene.root

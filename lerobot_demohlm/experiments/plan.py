@@ -12,6 +12,7 @@ from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.task import DEFAULT_REGION, all_tasks, get_task
 from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm import provenance
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.presets import POLICIES, get_preset
 
 REGIONS = ("R1", "R2", "R3")
@@ -22,10 +23,11 @@ _SEEDS = {"main": (0, 1), "architectures": (0,)}
 TABLES = ("main", "architectures", "regions")
 PLAIN, DEFAULT_VARIANT = "plain", "plain"  # what lines without a variant are of; what the paper's tables are made with
 VARIANTS: Mapping[str, Mapping[str, float]] = {
-    PLAIN: {"command_noise": 0.0, "start_spread": 1.0},
-    "noise": {"command_noise": 1.0, "start_spread": 1.0},
-    "spread": {"command_noise": 0.0, "start_spread": 1.3},
-    "both": {"command_noise": 1.0, "start_spread": 1.3},
+    PLAIN: {},
+    "noise": {"command_noise": 1.0},
+    "starts": {"start_spread": 1.3},
+    "stances": {"stance_spread": 1.0},
+    "noise_stances": {"command_noise": 1.0, "stance_spread": 1.0},
 }
 """Ways to generate training data, as fields of a ``GenerationRequest``; rollouts are the same for all of them."""
 
@@ -72,7 +74,7 @@ class Cell:
         return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts, *_suffix(self.variant))))
 
     def is_of(self, line: dict[str, Any]) -> bool:
-        """Tell whether a line of results is this cell's, from the same robot, controller and demonstration."""
+        """Tell whether a line of results is this cell's, from the same controller, settings and demonstration."""
         line = {"variant": PLAIN, **line}
         return all(line.get(key) == value for key, value in asdict(self).items()) and line.get("stamp") == stamp(
             self.task
@@ -109,9 +111,11 @@ def _stem(task: str, region: str, variant: str = PLAIN) -> str:
 
 @functools.cache
 def stamp(task: str) -> str:
-    """Return eight letters that change with the controller or with the task's demonstration."""
-    source = demonstrations.load(None, get_task(task)).content_hash
-    return hashlib.sha256((provenance.controller_hash() + source).encode()).hexdigest()[:8]
+    """Return eight letters that change with the controller, with how data is generated, and with the task."""
+    definition = get_task(task)
+    source = demonstrations.load(None, definition).content_hash
+    made_by = (provenance.controller_hash(), source, repr(Settings()), repr(definition.episode_length_s))
+    return hashlib.sha256("".join(made_by).encode()).hexdigest()[:8]
 
 
 def plan(

@@ -12,7 +12,10 @@ from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, PLAIN, REGIONS, VA
 from lerobot_demohlm.presets import POLICIES
 
 RESAMPLES = 10_000
-VARIANTS_NOTE = "noise: commands are executed with noise and recorded without; spread: wider starts of the robot"
+VARIANTS_NOTE = (
+    "noise: commands are executed with noise and recorded without; starts: wider starts of the robot; stances: it acts "
+    "from places that are a little off"
+)
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
 Line = dict[str, Any]
 
@@ -127,7 +130,7 @@ def architectures_table(lines: Iterable[Line]) -> str:
 
 def by_region(lines: Iterable[Line]) -> dict[str, list[Line]]:
     """Return the last line of each region in order, for tasks with all three; the first try of an attempt counts."""
-    own = [line for line in lines if not line.get("retries") and not line.get("command_noise")]
+    own = [line for line in lines if not any(line.get(name) for name in ("retries", "command_noise", "stance_spread"))]
     last = {(line["task"], line["region"]): line for line in own if line.get("start_spread", 1.0) == 1.0}
     tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
     return {task: [last[task, region] for region in REGIONS] for task in tasks}

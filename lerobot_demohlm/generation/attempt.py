@@ -7,11 +7,11 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gym_demohlm import observation
+from gym_demohlm import observation, poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.simulation import STEP_DT, Simulation
@@ -254,7 +254,9 @@ class Attempts:
     def _try(self, attempt: Running) -> Iterator[np.ndarray]:
         """Go through the stages once, from where things are."""
         world, demonstration = attempt.world, self.demonstration
-        placement = stages.choose_placement(world, self.task, demonstration, self._segments)
+        chosen = stages.choose_placement(world, self.task, demonstration, self._segments)
+        off = stages.stance(self.seed, attempt.index, self.settings.stance_spread)
+        placement = replace(chosen, goal=poses.to_planar(poses.planar(*chosen.goal) @ poses.planar(*off)))
         attempt.placement = placement
         yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
         playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)

@@ -53,8 +53,8 @@ class Playback:
     Attributes:
         stage: "pre_manipulation" or "manipulation".
         tick: Of the demonstration, which the last command was for.
-        activity: What that command did: "follow" the demonstration, "transit" to its first pose, "settle" a gripper,
-            "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a failure.
+        activity: What that command did: "follow" the demonstration, "transit" to where a part of it begins, "settle" a
+            gripper, "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a failure.
         last_targets: (2, 4, 4) poses of the palms that it aimed at.
         error: (2,) what inverse kinematics left of the way to them [m].
         started: Segments that have begun, in the order of time.
@@ -83,6 +83,7 @@ class Playback:
         self._way = [self.last_targets]  # of the hands so far
         self._motions: dict[int, np.ndarray] = {}  # of hands that follow an object: from the demonstrated scene to this
         self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
+        self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._base_path = BasePath(demonstration, self.settings)
         gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)
@@ -99,7 +100,7 @@ class Playback:
             for group in starting:
                 self._start(group)
             if any(entry.kind == "object" for group in starting for entry in group) or tick == 0:
-                yield from self._transit(tick)
+                yield from self._join(tick, [entry for group in starting for entry in group])
             if self.stage == PRE_MANIPULATION and self._touching(tick):
                 self._check_reached()
                 self.stage = MANIPULATION
@@ -177,7 +178,8 @@ class Playback:
         """Move the targets of hands that follow an object by what they measurably miss: arms sag as they are held."""
         measured = self.world.hands()
         for hand, motion in self._motions.items():
-            missed = (motion @ self.demonstration.T_world_hands[tick, hand] - measured[hand])[:3, 3]
+            wanted = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3] + self._detours[tick, hand]
+            missed = wanted - measured[hand, :3, 3]
             shift = self._shift[hand] + self.settings.steering_gain * missed
             self._shift[hand] = shift * min(1.0, self.settings.max_shift_m / max(float(np.linalg.norm(shift)), 1e-9))
             self._targets[tick, hand, :3, 3] += self._shift[hand]
@@ -266,11 +268,24 @@ class Playback:
             ).symmetry
         return self._symmetries[name]
 
-    def _transit(self, tick: int) -> Iterator[np.ndarray]:
+    def _join(self, tick: int, starting: Sequence[Segment]) -> Iterator[np.ndarray]:
+        """Lead hands onto the motion that begins: as it goes on, or before it where they come to an object too soon."""
+        entries = [entry for entry in starting if entry.kind == "object" or entry.anchor != "base"]
+        hands = [g1.SIDES.index(entry.hand) for entry in entries]
+        last, path = self.last_targets[hands], self._targets[tick:, hands]
+        distance = float(np.linalg.norm((path[0] - last)[:, :3, 3], axis=-1).max())
+        ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
+        room = int(self.settings.joining_share * min(entry.stop - tick for entry in entries))
+        if ticks > room:
+            yield from self._transit(tick, ticks)
+            return
+        joined = retarget.join(last, path[:room])
+        self._detours[tick : tick + room, hands] = (joined - path[:room])[..., :3, 3]
+        self._targets[tick : tick + room, hands] = joined
+
+    def _transit(self, tick: int, ticks: int) -> Iterator[np.ndarray]:
         """Bring the hands from where they are commanded, at first from where they are, to this tick's targets."""
         self.activity = "transit"
-        distance = np.linalg.norm(self._targets[tick, :, :3, 3] - self.last_targets[:, :3, 3], axis=-1).max()
-        ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
         for targets in retarget.transit(self.last_targets, self._targets[tick], ticks):
             yield self._command(targets, tick)
 

@@ -119,9 +119,31 @@ def transit(T_from: np.ndarray, T_to: np.ndarray, num_ticks: int) -> np.ndarray:
 
     Position linear and rotation slerp, along a share that starts and ends at rest.
     """
+    return poses.interpolate(T_from, T_to, _eased(num_ticks, T_from.ndim - 2))
+
+
+def join(T_from: np.ndarray, T_path: np.ndarray) -> np.ndarray:
+    """Lead from a pose onto a path while it is followed: what parts them at its start is eased away along it.
+
+    Args:
+        T_from: (..., 4, 4) where the hands are.
+        T_path: (T, ..., 4, 4) where they are to be, from now on; reached with the last pose.
+
+    Returns:
+        (T, ..., 4, 4) the way of the hands.
+    """
+    share = _eased(len(T_path), T_from.ndim - 2)
+    joined = T_path.copy()
+    joined[..., :3, 3] += (1.0 - share)[..., None] * (T_from - T_path[0])[..., :3, 3]
+    apart = poses.from_rotation(T_from[..., :3, :3] @ np.swapaxes(T_path[0, ..., :3, :3], -1, -2))
+    joined[..., :3, :3] = poses.interpolate(apart, np.eye(4), share)[..., :3, :3] @ T_path[..., :3, :3]
+    return joined
+
+
+def _eased(num_ticks: int, dimensions: int) -> np.ndarray:
+    """Return shares (num_ticks, 1, ...) of a way, the last one 1, that start and end at rest."""
     u = np.arange(1, num_ticks + 1) / max(num_ticks, 1)
-    eased = u * u * (3.0 - 2.0 * u)
-    return poses.interpolate(T_from, T_to, eased.reshape(-1, *[1] * (T_from.ndim - 2)))
+    return (u * u * (3.0 - 2.0 * u)).reshape(-1, *[1] * dimensions)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ from lerobot_demohlm import provenance
 from lerobot_demohlm.dataset import GenerationFacts, installed_versions
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.stages import chosen_settings
+from lerobot_demohlm.generation.stages import CHOICES, chosen_settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.generation_block import write_block
 from lerobot_demohlm.generation_run import GenerationRun
@@ -59,6 +59,7 @@ class GenerationRequest:
         retries: How often an attempt may begin again after a stage that failed.
         command_noise: Scale of the noise that commands carry when they are executed; recorded are those without.
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
+        stance_spread: Scale of how far the place is off from which the robot acts on the object.
         show_progress: Draw a progress bar on stderr.
     """
 
@@ -78,6 +79,7 @@ class GenerationRequest:
     retries: int = 0
     command_noise: float = 0.0
     start_spread: float = 1.0
+    stance_spread: float = 0.0
     show_progress: bool = True
 
 
@@ -96,6 +98,7 @@ class GenerationSummary:
         retries: How often an attempt might begin again.
         command_noise: As requested.
         start_spread: As requested.
+        stance_spread: As requested.
         first_try_successes: Successes that did not: those that there would have been without retries.
         episodes_per_hour: Successes an hour of this call; blocks that were on disk before it are not counted.
     """
@@ -110,6 +113,7 @@ class GenerationSummary:
     retries: int
     command_noise: float
     start_spread: float
+    stance_spread: float
     first_try_successes: int
     episodes_per_hour: float
 
@@ -149,6 +153,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         retries=request.retries,
         command_noise=request.command_noise,
         start_spread=request.start_spread,
+        stance_spread=request.stance_spread,
     )
     repo_id = request.repo_id or f"demohlm/{provenance.file_name(task)}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
@@ -167,7 +172,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         run.close()
     kept = (
         *("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes"),
-        *("retries", "command_noise", "start_spread", "first_try_successes"),
+        *(*CHOICES, "first_try_successes"),
     )
     return GenerationSummary(
         **{key: content[key] for key in kept},
@@ -338,6 +343,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FACTOR",
         help="widen the region's ranges of the robot's pose, x away from the object (default: %(default)s)",
     )
+    parser.add_argument(
+        "--stance-spread",
+        type=float,
+        default=0.0,
+        metavar="SCALE",
+        help="walk to places that are off by up to 5 cm and 5 deg, times this (default: %(default)s)",
+    )
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -358,5 +370,6 @@ def main(arguments: argparse.Namespace) -> None:
         retries=arguments.retries,
         command_noise=arguments.command_noise,
         start_spread=arguments.start_spread,
+        stance_spread=arguments.stance_spread,
     )
     print(json.dumps(summary_json(generate(request))))

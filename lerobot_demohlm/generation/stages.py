@@ -22,6 +22,9 @@ from lerobot_demohlm.segmentation import Segment
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)
+CHOICES = ("retries", "command_noise", "start_spread", "stance_spread")  # of a run: what its facts say of its settings
+STANCE_STREAM = 2  # first number of its seed sequences, as GENERATION_STREAM is of initial states
+STANCE_RANGES = np.array([[-0.05, 0.02], [-0.04, 0.04], [-0.08, 0.08]])  # m, m, rad: back rather than into a table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +32,9 @@ class PlaybackSettings:
     """How the hands follow the demonstration.
 
     Attributes:
-        transit_speed: Mean speed of the hands on their way to the first target [m/s].
-        min_transit_ticks: Shortest transit.
+        transit_speed: Mean speed at which hands come from where they are to where an object's motion begins [m/s].
+        min_transit_ticks: Shortest time for it.
+        joining_share: Of a segment, in which they do so while its motion goes on; before it where that is too short.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
         hold_error_m: The same during manipulation, where a robot that stands a little off may trail.
         hold_ticks: How long it may last.
@@ -50,6 +54,7 @@ class PlaybackSettings:
 
     transit_speed: float = 0.3
     min_transit_ticks: int = 5
+    joining_share: float = 0.35
     reach_error_m: float = 0.06
     hold_error_m: float = 0.15
     hold_ticks: int = 10
@@ -113,11 +118,13 @@ class Settings:
             object, or a gripper has closed beside it; each try has the task's whole time limit.
         command_noise: Scale of the noise that executed commands carry (``command_noise``); without any where 0.
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
+        stance_spread: Share of ``STANCE_RANGES`` by which the goal of an attempt's walk is off.
     """
 
     retries: int = 0
     command_noise: float = 0.0
     start_spread: float = 1.0
+    stance_spread: float = 0.0
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
@@ -126,7 +133,7 @@ class Settings:
 
 def chosen_settings(facts: Mapping[str, Any]) -> Settings:
     """Return the settings of a run by what it keeps of itself, as ``meta/demohlm.json``; older runs keep less."""
-    return Settings(**{name: facts[name] for name in ("retries", "command_noise", "start_spread") if name in facts})
+    return Settings(**{name: facts[name] for name in CHOICES if name in facts})
 
 
 class StageError(Exception):
@@ -171,6 +178,15 @@ def choose_placement(
         clearance_m=0.9 * distance,
         others=others,
     )
+
+
+def stance(seed: int, index: int, spread: float) -> np.ndarray:
+    """Return how far (x, y, yaw) [m, m, rad] the goal of attempt ``index`` of run ``seed`` is off, in its own frame.
+
+    A policy stops a little off the place that suits it best, and is to know what the hands do from there.
+    """
+    low, high = spread * STANCE_RANGES.T
+    return np.random.default_rng([STANCE_STREAM, seed, index]).uniform(low, high)
 
 
 def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:

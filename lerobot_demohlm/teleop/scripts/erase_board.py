@@ -19,7 +19,7 @@ BEFORE = 0.12  # m, gripper before the eraser on the way to it
 GRIP = -0.022  # m, middle of the pads from the eraser's middle: the finger tips stay off the board
 LIFT = 0.06  # m, from the tray to the writing
 TO_BOARD = 0.005  # m, from the felt to the board
-PRESS = 0.005  # m, how far inside the board the felt is asked to be
+PRESS = (0.005, 0.013)  # m, how far inside the board the felt is asked to be, first and last: the arm gives way
 WIPE = 0.27  # m
 OPEN, CLOSED = (0.0, 0.0), (0.0, 1.0)
 
@@ -39,7 +39,7 @@ def _plan(view: SceneView) -> list[Waypoint]:
     def hands(forward: float, leftward: float = 0.0, up: float = 0.0) -> np.ndarray:
         return np.stack([left, T_world_eraser @ poses.pose([GRIP + forward, leftward, up])])
 
-    pressed = TO_BOARD + PRESS
+    pressed, kept = (TO_BOARD + press for press in PRESS)
     return [
         Waypoint(T_world_hands=raised, duration_s=1.4),
         Waypoint(T_world_hands=hands(-BEFORE), duration_s=1.2),
@@ -47,6 +47,6 @@ def _plan(view: SceneView) -> list[Waypoint]:
         Waypoint(T_world_hands=hands(0.0), duration_s=0.8, grippers=CLOSED),
         Waypoint(T_world_hands=hands(-0.01, up=LIFT), duration_s=1.0, grippers=CLOSED),
         Waypoint(T_world_hands=hands(pressed, up=LIFT), duration_s=0.8, grippers=CLOSED),
-        Waypoint(T_world_hands=hands(pressed, WIPE, LIFT), duration_s=2.6, grippers=CLOSED),
-        Waypoint(T_world_hands=hands(pressed, WIPE, LIFT), duration_s=1.5, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=2.6, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=1.5, grippers=CLOSED),
     ]

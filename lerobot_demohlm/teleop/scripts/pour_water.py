@@ -14,7 +14,8 @@ START: InitialState = {"robot": [-0.02, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: 0.39 m before bottle and bowl."""
 
 GRIP_HEIGHT = -0.01  # m above the bottle's middle
-BESIDE = -0.075  # m, the hand from the bowl's middle, to the right
+BESIDE = -0.075  # m, the hand from the bowl's middle, to the right, and
+POURING = -0.09  # m, while the water leaves the bottle: it flies on to the left
 OVER = 0.115  # m, the hand above the bowl's middle while it pours
 TIPPED = -1.95  # rad: the bottle's mouth turns left and down
 LEFT_ASIDE = (0.12, 0.28, 0.74)  # m, the left palm in the base frame, clear of the table
@@ -61,9 +62,9 @@ def _pour(view: SceneView) -> list[Waypoint]:
     closed = (0.0, 1.0)
     return [
         Waypoint(T_world_hands=hands(0.0, BESIDE - 0.05, OVER + 0.04), duration_s=1.2, grippers=closed),
-        Waypoint(T_world_hands=hands(0.5 * TIPPED, BESIDE, OVER + 0.02), duration_s=1.2, grippers=closed),
-        Waypoint(T_world_hands=hands(TIPPED, BESIDE, OVER), duration_s=1.8, grippers=closed),
-        Waypoint(T_world_hands=hands(TIPPED, BESIDE, OVER), duration_s=1.5, grippers=closed),
+        Waypoint(T_world_hands=hands(0.5 * TIPPED, POURING, OVER + 0.02), duration_s=1.2, grippers=closed),
+        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=2.2, grippers=closed),
+        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=1.5, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.8, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.6, grippers=closed),
     ]
