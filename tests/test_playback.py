@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import IKSolution
 from gym_demohlm.robot import g1
@@ -24,8 +25,9 @@ SAG = np.array([0.0, 0.004, -0.015])  # m
 class FakeWorld:
     """A robot that stands where the demonstrated one did and whose hands are at their targets, but for a sag."""
 
-    def __init__(self, demonstration: Demonstration, grip_n: float = 0.0) -> None:
+    def __init__(self, demonstration: Demonstration, grip_n: float = 0.0, raised: float = 0.0) -> None:
         self.demonstration, self.grip_n = demonstration, grip_n
+        self.shift = poses.pose([0.0, 0.0, raised])  # of the objects
         self.names = [entry.name for entry in get_task(demonstration.task).objects]
         self.asked = demonstration.T_world_hands[0].copy()
         self.last = command.rest()
@@ -46,7 +48,7 @@ class FakeWorld:
     def pose(self, name: str) -> np.ndarray:
         if name == "pelvis":
             return self.demonstration.T_world_pelvis[0]
-        return self.demonstration.T_world_objects[0, self.names.index(name)]
+        return self.shift @ self.demonstration.T_world_objects[0, self.names.index(name)]
 
     def command(self) -> np.ndarray:
         return self.last
@@ -83,6 +85,41 @@ def test_hands_are_led_to_where_they_were_beside_the_object(gain: float, least: 
     transit = len(seen) - len(still) - settings.playback.final_ticks
     assert least <= seen[transit + switch - 1] <= most
     assert seen[-1] == pytest.approx(seen[transit + switch], abs=1e-6)  # what was made up for stays
+
+
+@pytest.mark.parametrize("raised", [-0.12, 0.0, 0.12])
+def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
+    """At a lower table they do not go down first to come up again; they never jump; and they end where they should."""
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    approach = next(entry for entry in segment(demonstration) if entry.kind == "object")
+    still = Settings(playback=PlaybackSettings(steering_gain=0.0), grip=GripSettings(settle_ticks=0))
+    made = playback(FakeWorld(demonstration, 10.0, raised), still)
+    commands = made.run()
+    way = [made.last_targets[1]]
+    while made.tick < approach.stop - 1:
+        next(commands)
+        way.append(made.last_targets[1])
+    assert len(way) == approach.stop + 1  # no time is lost before the motion
+    heights = np.array(way)[:, 2, 3]
+    wanted = demonstration.T_world_targets[: approach.stop, 1, 2, 3] + raised
+    assert heights[-1] == pytest.approx(wanted[-1], abs=1e-9)
+    assert heights.min() > min(heights[0], wanted[-1]) - 0.01
+    steps = np.linalg.norm(np.diff(np.array(way)[:, :3, 3], axis=0), axis=-1)
+    demonstrated = np.linalg.norm(np.diff(demonstration.T_world_targets[: approach.stop, 1, :3, 3], axis=0), axis=-1)
+    assert steps.max() < demonstrated.max() + 0.02  # m a tick
+
+
+def test_hands_go_to_a_motion_first_where_it_leaves_no_time() -> None:
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    hasty = Settings(playback=PlaybackSettings(steering_gain=0.0, joining_share=0.0))
+    made = playback(FakeWorld(demonstration, 10.0, -0.3), hasty)
+    activities = []
+    for _ in made.run():
+        activities.append(made.activity)
+        if made.tick > 0:
+            break
+    assert activities[:-2] == ["transit"] * 10  # 0.3 m at 0.3 m/s
+    assert made.last_targets[1, 2, 3] == pytest.approx(demonstration.T_world_targets[1, 1, 2, 3] - 0.3, abs=1e-9)
 
 
 @pytest.mark.parametrize("grip_n", [0.0, 10.0])
