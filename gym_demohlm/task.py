@@ -32,7 +32,7 @@ InitialState = dict[str, list[float]]
 Predicate = Callable[["Worlds"], np.ndarray]
 """A question put to all worlds at once: simulation -> (num_worlds,) bool."""
 
-MotionFrame = Literal["robot", "scene"]
+MotionFrame = Literal["robot", "hands", "scene"]
 
 Range = tuple[float, float]
 
@@ -197,7 +197,8 @@ class Task:
         regions: Initial regions by name.
         episode_length_s: Time limit [s].
         motion_frame: What the motion after a touch is relative to: "robot" for one that ends at the body, such as a
-            lift; "scene" for one that things in the world lay down, such as the arc of a door.
+            lift; "hands", with the robot's heading, for one that ends where they touched, such as pressing something
+            down; "scene" for one that things in the world lay down, such as the arc of a door.
         riders: Bodies with free joints that start in or on an object and move with it, by that object's name.
         memory: What a world remembers beside its physics; nothing by default.
     """

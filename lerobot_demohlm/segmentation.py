@@ -20,7 +20,7 @@ from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
-from gym_demohlm.task import get_task
+from gym_demohlm.task import MotionFrame, get_task
 from lerobot_demohlm.demonstration import (
     CONTACT_FORCE_N,
     CORRECTIONS_PATH,
@@ -35,6 +35,7 @@ CONTACT_TICKS = 2  # a touch or a release counts once it has lasted this long (0
 TOGETHER_TICKS = 8  # hands that take one object within this time act together (0.8 s)
 RETOUCH_TICKS = 6  # a hand that lets go of an object and touches it again within this time has not let go (0.6 s)
 GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
+_ANCHOR_OF: dict[MotionFrame, Anchor] = {"robot": "body", "hands": "eef_heading", "scene": "eef"}
 REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
 MIN_REST_TICKS = 3
 
@@ -150,7 +151,7 @@ def segment(demonstration: Demonstration) -> list[Segment]:
     switches = {hand: _switches([event for event in found if event.hand == hand]) for hand in g1.SIDES}
     switches = _together(switches)
     frame = get_task(demonstration.task).motion_frame
-    anchor: Anchor = "eef" if frame == "scene" else "eef_heading"
+    anchor = _ANCHOR_OF[frame]
     tracks = {hand: _track(hand, switches[hand], length, anchor) for hand in g1.SIDES}
     segments = []
     for hand, other in zip(g1.SIDES, reversed(g1.SIDES), strict=True):

@@ -46,4 +46,5 @@ TASK = Task(
     supports=("table",),
     obstacles=("table",),
     contact_pairs=(("right", "cube"),),
+    motion_frame="hands",
 )

@@ -92,5 +92,6 @@ TASK = Task(
     obstacles=("bed",),
     contact_pairs=(("left", "bar"), ("right", "bar")),
     regions=limit_yaw(REGIONS, math.pi / 4),
+    motion_frame="hands",
     episode_length_s=35.0,
 )

@@ -13,6 +13,7 @@ from lerobot_demohlm.generation.playback import Started
 from lerobot_demohlm.locomotion import LocomotionSettings
 
 _ANCHORS = {
+    "body": "the robot's body",
     "eef_heading": "the place of the hands, with the robot's heading",
     "eef": "the pose of the hands",
     "root": "the robot's root",

@@ -162,10 +162,16 @@ class Playback:
                 last = retarget.object_targets(last_d, poses.heading(T_W_Rd), poses.heading(T_W_R), np.eye(4))
             else:
                 last = self.last_targets[hands]
-            anchors_d = retarget.anchor_pose(first.anchor, last_d, T_W_Rd)
-            anchors = retarget.anchor_pose(first.anchor, last, T_W_R)
-            targets = retarget.anchored_targets(demonstrated, last_d, last, anchors_d, anchors)
-            self._note(group, anchors_d, anchors)
+            if first.anchor == "body":
+                way = np.concatenate([last_d[None], demonstrated])
+                path = retarget.carried_targets(way, T_W_Rd, T_W_R)
+                targets = retarget.bring(last, path, retarget.progress(way))[1:]
+                self._note(group, T_W_Rd, T_W_R)
+            else:
+                anchors_d = retarget.anchor_pose(first.anchor, last_d, T_W_Rd)
+                anchors = retarget.anchor_pose(first.anchor, last, T_W_R)
+                targets = retarget.anchored_targets(demonstrated, last_d, last, anchors_d, anchors)
+                self._note(group, anchors_d, anchors)
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
             self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
 

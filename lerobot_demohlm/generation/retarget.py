@@ -16,12 +16,13 @@ import numpy as np
 
 from gym_demohlm import poses
 
-Anchor = Literal["eef_heading", "eef", "root", "world", "base"]
+Anchor = Literal["body", "eef_heading", "eef", "root", "world", "base"]
 """Frame in which the motion after the switch is repeated: the end effector's origin with the root's heading, the whole
 end-effector pose, the root, or the end effector's origin with the world's axes, each frozen at the switch; or the base
-as it moves on, for hands that hold something while the robot walks."""
+as it moves on, for hands that hold something while the robot walks. "body" is no offset of the hands but the places on
+the robot itself that they come to: a policy that has lifted something sees no more from how low, only where it is."""
 
-ANCHORS: tuple[Anchor, ...] = ("eef_heading", "eef", "root", "world", "base")
+ANCHORS: tuple[Anchor, ...] = ("body", "eef_heading", "eef", "root", "world", "base")
 ANY_YAW_CANDIDATES = 72  # every 5 degrees, for a round object
 TURN_WEIGHT = 0.4  # m/rad: what a radian of turning costs compared with a metre of walking
 LAYOUT_WEIGHT = 20.0  # m/m: what another object a metre from where the motion expects it costs
@@ -101,15 +102,15 @@ def anchored_targets(
 
 
 def carried_targets(T_W_Ed: np.ndarray, T_W_Rd: np.ndarray, T_W_R: np.ndarray) -> np.ndarray:
-    """Bring demonstrated hands to where the base is now, on the floor plane: hands that a walking robot holds still.
+    """Bring demonstrated hands to where the base is now, on the floor plane, to the places that they had on the robot.
 
     Args:
-        T_W_Ed: (hands, 4, 4) demonstrated targets at a tick.
+        T_W_Ed: (..., 4, 4) demonstrated targets.
         T_W_Rd: (4, 4) demonstrated root then.
         T_W_R: (4, 4) root now.
 
     Returns:
-        (hands, 4, 4) targets in the world.
+        (..., 4, 4) targets in the world.
     """
     return poses.planar(*poses.to_planar(T_W_R)) @ poses.invert(poses.planar(*poses.to_planar(T_W_Rd))) @ T_W_Ed
 
@@ -122,22 +123,60 @@ def transit(T_from: np.ndarray, T_to: np.ndarray, num_ticks: int) -> np.ndarray:
     return poses.interpolate(T_from, T_to, _eased(num_ticks, T_from.ndim - 2))
 
 
-def join(T_from: np.ndarray, T_path: np.ndarray) -> np.ndarray:
-    """Lead from a pose onto a path while it is followed: what parts them at its start is eased away along it.
+def join(T_from: np.ndarray, T_path: np.ndarray, share: np.ndarray | None = None) -> np.ndarray:
+    """Lead from a pose onto a path while it is followed: what parts them at its start is taken away along it.
 
     Args:
         T_from: (..., 4, 4) where the hands are.
         T_path: (T, ..., 4, 4) where they are to be, from now on; reached with the last pose.
+        share: (T,) of that which is gone by then; by default it starts and ends at rest.
 
     Returns:
         (T, ..., 4, 4) the way of the hands.
     """
-    share = _eased(len(T_path), T_from.ndim - 2)
+    if share is None:
+        share = _eased(len(T_path), T_from.ndim - 2)
+    share = share.reshape(-1, *[1] * (T_from.ndim - 2))
     joined = T_path.copy()
     joined[..., :3, 3] += (1.0 - share)[..., None] * (T_from - T_path[0])[..., :3, 3]
     apart = poses.from_rotation(T_from[..., :3, :3] @ np.swapaxes(T_path[0, ..., :3, :3], -1, -2))
     joined[..., :3, :3] = poses.interpolate(apart, np.eye(4), share)[..., :3, :3] @ T_path[..., :3, :3]
     return joined
+
+
+def bring(T_from: np.ndarray, T_path: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Lead hands that hold something together to places on the robot, as one rigid body.
+
+    Args:
+        T_from: (hands, 4, 4) where they are.
+        T_path: (T, hands, 4, 4) their way on the robot, beginning with where they are now.
+        share: (T,) of what parts them from it that is gone by then, 0 at first.
+
+    Returns:
+        (T, hands, 4, 4) their way; what each is asked to press inwards, an offset from the others, stays.
+    """
+    way = _middle(T_path)
+    led = join(_middle(T_from), way, share) @ poses.invert(way)  # (T, 4, 4)
+    kept = poses.invert(led[0] @ T_path[0]) @ T_from
+    return led[:, None] @ T_path @ kept
+
+
+def _middle(T_hands: np.ndarray) -> np.ndarray:
+    """Return one frame (..., 4, 4) of hands (..., n, 4, 4): that of one, or midway between two, facing across."""
+    if T_hands.shape[-3] == 1:
+        return T_hands[..., 0, :, :]
+    across = (T_hands[..., 0, :3, 3] - T_hands[..., 1, :3, 3])[..., :2]
+    frame = poses.planar(0.0, 0.0, np.arctan2(-across[..., 0], across[..., 1]))
+    frame[..., :3, 3] = T_hands[..., :3, 3].mean(axis=-2)
+    return frame
+
+
+def progress(T_path: np.ndarray) -> np.ndarray:
+    """Return the share (T,) of its way that a path (T, hands, 4, 4) has gone, as the hand that goes furthest."""
+    steps = np.linalg.norm(np.diff(T_path[..., :3, 3], axis=0), axis=-1)  # (T - 1, hands)
+    gone = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+    furthest = gone[:, np.argmax(gone[-1])]
+    return furthest / furthest[-1] if furthest[-1] > 0.0 else np.ones(len(T_path))
 
 
 def _eased(num_ticks: int, dimensions: int) -> np.ndarray:
