@@ -106,7 +106,7 @@ def test_segment_shows_the_switch(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "segment", "--task", "LiftBox")
     assert code == 0
     assert "touch box" in out
-    assert "its own motion (eef_heading)" in out
+    assert "its own motion (body)" in out
 
 
 def test_replay_says_that_every_bit_agrees(capsys: pytest.CaptureFixture[str]) -> None:

@@ -123,6 +123,34 @@ def test_targets_are_continuous_at_the_switch(seed: int, kind: retarget.Anchor) 
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("hands", [1, 2])
+def test_hands_that_come_to_the_body_do_so_from_anywhere(seed: int, hands: int) -> None:
+    """They begin where they are, rest while the demonstration rests, and end at its place on the robot."""
+    scene = Scene(seed)
+    path = np.concatenate([np.repeat(scene.act[:1], 3, axis=0), scene.act])[:, :hands]
+    share = retarget.progress(path)
+    assert (np.diff(share) >= 0.0).all()
+    np.testing.assert_array_equal(share[[0, 1, 2, 3, -1]], [0.0, 0.0, 0.0, 0.0, 1.0])
+    lifted = poses.pose([0.05, -0.1, 0.2]) @ poses.planar(0.0, 0.0, 0.1)
+    for start in (path[0], lifted @ path[0]):
+        led = retarget.bring(start, path, share)
+        np.testing.assert_allclose(led[:4], np.repeat(start[None], 4, axis=0), atol=1e-9)
+        np.testing.assert_allclose(led[-1], path[-1], atol=1e-8)
+    np.testing.assert_allclose(retarget.bring(path[0], path, share), path, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_hands_that_come_to_the_body_keep_their_squeeze(seed: int) -> None:
+    scene = Scene(seed)
+    path = random_pose(scene.rng, (8, 1)) @ scene.approach[-1]
+    squeezed = path[0].copy()
+    squeezed[0, :3, 3] += 0.02 * (path[0, 1] - path[0, 0])[:3, 3]
+    led = retarget.bring(squeezed, path, retarget.progress(path))
+    relation = poses.invert(led[:, 0]) @ led[:, 1]
+    np.testing.assert_allclose(relation, np.tile(relation[0], (8, 1, 1)), atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_squeeze_stays_a_squeeze(seed: int) -> None:
     """Two hands that move as one rigid body keep their distance; a closing motion keeps its size."""
     scene = Scene(seed)

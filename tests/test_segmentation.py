@@ -190,6 +190,6 @@ def test_hands_follow_the_base_once_it_walks(demonstration: Demonstration) -> No
         track = [entry for entry in segmentation.segment(walking) if entry.hand == hand]
         assert [(entry.kind, entry.anchor, entry.start) for entry in track] == [
             ("object", "eef_heading", 0),
-            ("proprioception", "eef_heading", 20),
+            ("proprioception", "body", 20),
             ("proprioception", "base", 40),
         ]

@@ -48,6 +48,5 @@ TASK = Task(
     supports=("table",),
     obstacles=("table",),
     contact_pairs=(("left", "cube"), ("right", "cube")),
-    motion_frame="robot",
     episode_length_s=50.0,
 )

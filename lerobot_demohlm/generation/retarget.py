@@ -145,7 +145,7 @@ def join(T_from: np.ndarray, T_path: np.ndarray, share: np.ndarray | None = None
 
 
 def bring(T_from: np.ndarray, T_path: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Lead hands that hold something together to places on the robot, as one rigid body.
+    """Lead hands that hold something to places on the robot, two of them as one rigid body.
 
     Args:
         T_from: (hands, 4, 4) where they are.
