@@ -14,6 +14,7 @@ from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm import provenance
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.presets import POLICIES, get_preset
+from lerobot_demohlm.segmentation import segment
 
 REGIONS = ("R1", "R2", "R3")
 FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
@@ -113,9 +114,15 @@ def _stem(task: str, region: str, variant: str = PLAIN) -> str:
 def stamp(task: str) -> str:
     """Return eight letters that change with the controller, with how data is generated, and with the task."""
     definition = get_task(task)
-    source = demonstrations.load(None, definition).content_hash
-    made_by = (provenance.controller_hash(), source, repr(Settings()), repr(definition.episode_length_s))
-    return hashlib.sha256("".join(made_by).encode()).hexdigest()[:8]
+    source = demonstrations.load(None, definition)
+    made_by = (
+        provenance.controller_hash(),
+        source.content_hash,
+        segment(source),
+        Settings(),
+        definition.episode_length_s,
+    )
+    return hashlib.sha256("".join(map(str, made_by)).encode()).hexdigest()[:8]
 
 
 def plan(
