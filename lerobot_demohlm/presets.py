@@ -48,7 +48,7 @@ _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 PRESETS: Mapping[tuple[str, str], Preset] = {
     ("mlp", "paper"): Preset(type="chunked_mlp", batch_size=512, steps=50_000, options={**CHUNK, "optimizer_lr": 5e-5}),
     ("mlp", "cpu"): Preset(
-        type="chunked_mlp", batch_size=512, steps=8_000, options={**CHUNK, "optimizer_lr": 5e-4}, cosine=True
+        type="chunked_mlp", batch_size=512, steps=8_000, options={**CHUNK, "optimizer_lr": 1e-3}, cosine=True
     ),
     ("act", "paper"): Preset(
         type="act",
