@@ -116,11 +116,11 @@ def test_what_lerobot_asks_for() -> None:
     *_, info = env.step(actions_for(0, 1)[0])
     assert all(type(info[flag]) is bool for flag in FLAGS) and type(info["clipped"]) is int
     assert env.task == "LiftBox" and "box" in env.task_description
-    assert env.get_wrapper_attr("_max_episode_steps") == 200
+    assert env.get_wrapper_attr("_max_episode_steps") == 300
     assert env.metadata["render_fps"] == 10
     vector = make_vector(2)
     vector.reset(seed=[3, 4], options={"lerobot_new_rollout": True})
-    assert vector.call("_max_episode_steps") == (200, 200)
+    assert vector.call("_max_episode_steps") == (300, 300)
     assert vector.call("task_description") == (env.task_description,) * 2
     assert vector.get_attr("task") == ("LiftBox", "LiftBox")
     assert vector.unwrapped.metadata["render_fps"] == 10

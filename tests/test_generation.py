@@ -120,9 +120,9 @@ def test_a_goal_out_of_reach_is_off_course(demonstration: Demonstration) -> None
 
 
 def test_a_target_out_of_reach_is_ik_failed(demonstration: Demonstration) -> None:
-    """Hands that are asked to reach two metres above the box do not get there."""
+    """Hands that are asked to reach a metre past the sides of the box do not get there."""
     targets = demonstration.hand_targets.copy()
-    targets[:, :, 2] += 2.0
+    targets[:, :, 1] += [1.0, -1.0]
     attempts = Attempts(TASK, dataclasses.replace(demonstration, hand_targets=targets), "R1", 0)
     episode = attempts.run([0])[0]
     attempts.close()
