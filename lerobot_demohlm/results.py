@@ -83,7 +83,7 @@ PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, it
 
 
 def _made_at(line: Line) -> str:
-    """Return the commit of a line, and whether controller or demonstration have changed since."""
+    """Return the commit of a line, and whether what its data is made by has changed since."""
     return line["commit"] if line.get("stamp") == stamp(line["task"]) else f"{line['commit']}, an earlier version"
 
 

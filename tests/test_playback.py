@@ -17,7 +17,7 @@ from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.stages import GripSettings, PlaybackSettings, Settings, StageError
 from lerobot_demohlm.generation.world import World
-from lerobot_demohlm.segmentation import segment
+from lerobot_demohlm.segmentation import Segment, segment
 
 SAG = np.array([0.0, 0.004, -0.015])  # m
 
@@ -120,6 +120,29 @@ def test_hands_go_to_a_motion_first_where_it_leaves_no_time() -> None:
             break
     assert activities[:-2] == ["transit"] * 10  # 0.3 m at 0.3 m/s
     assert made.last_targets[1, 2, 3] == pytest.approx(demonstration.T_world_targets[1, 1, 2, 3] - 0.3, abs=1e-9)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_hands_that_follow_the_base_stay_there_while_others_join(both: bool) -> None:
+    """From the first tick on, one hand while the other goes to its object, or both until one does."""
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    length, begin = len(demonstration), 10 if both else 0
+    base = {"kind": "proprioception", "object": None, "anchor": "base"}
+    segments = [
+        Segment(hand="left", start=0, stop=length, **base),
+        *([Segment(hand="right", start=0, stop=begin, **base)] if both else []),
+        Segment(hand="right", kind="object", start=begin, stop=50, object="cube"),
+        Segment(hand="right", kind="proprioception", start=50, stop=length, object="cube", anchor="body"),
+    ]
+    world, settings = FakeWorld(demonstration, 10.0), Settings(playback=PlaybackSettings(joining_share=0.0))
+    made = Playback(cast(World, world), get_task("GraspCube"), demonstration, segments, np.eye(4), settings)
+    activities = []
+    for _ in made.run():
+        activities.append(made.activity)
+        np.testing.assert_allclose(
+            made.last_targets[0, :3, 3], world.demonstration.T_world_hands[0, 0, :3, 3], atol=0.03
+        )
+    assert activities.index("transit") == begin
 
 
 @pytest.mark.parametrize("grip_n", [0.0, 10.0])

@@ -277,6 +277,8 @@ class Playback:
     def _join(self, tick: int, starting: Sequence[Segment]) -> Iterator[np.ndarray]:
         """Lead hands onto the motion that begins: as it goes on, or before it where they come to an object too soon."""
         entries = [entry for entry in starting if entry.kind == "object" or entry.anchor != "base"]
+        if not entries:
+            return  # hands that follow the base are led there tick by tick
         hands = [g1.SIDES.index(entry.hand) for entry in entries]
         last, path = self.last_targets[hands], self._targets[tick:, hands]
         distance = float(np.linalg.norm((path[0] - last)[:, :3, 3], axis=-1).max())
@@ -292,6 +294,7 @@ class Playback:
     def _transit(self, tick: int, ticks: int) -> Iterator[np.ndarray]:
         """Bring the hands from where they are commanded, at first from where they are, to this tick's targets."""
         self.activity = "transit"
+        self._follow_base(tick)  # the other hand may do so
         for targets in retarget.transit(self.last_targets, self._targets[tick], ticks):
             yield self._command(targets, tick)
 

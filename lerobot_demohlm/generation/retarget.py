@@ -59,7 +59,7 @@ def anchor_pose(kind: Anchor, T_W_E: np.ndarray, T_W_R: np.ndarray) -> np.ndarra
     """Return the frames (hands, 4, 4) in which the motion of hands that act together is repeated.
 
     Args:
-        kind: Which frame.
+        kind: Which frame; "body" and "base" freeze none.
         T_W_E: (hands, 4, 4) last commanded targets of hands on one object. All kinds but "eef" share one frame, so
             that hands that moved as one rigid body in the demonstration do so again.
         T_W_R: (4, 4) root.
@@ -172,7 +172,7 @@ def _middle(T_hands: np.ndarray) -> np.ndarray:
 
 
 def progress(T_path: np.ndarray) -> np.ndarray:
-    """Return the share (T,) of its way that a path (T, hands, 4, 4) has gone, as the hand that goes furthest."""
+    """Return the share (T,) of its way that a path (T, hands, 4, 4) has gone, as the furthest hand; 1 at rest."""
     steps = np.linalg.norm(np.diff(T_path[..., :3, 3], axis=0), axis=-1)  # (T - 1, hands)
     gone = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
     furthest = gone[:, np.argmax(gone[-1])]

@@ -16,10 +16,7 @@ START: InitialState = {"robot": [-0.06, 0.05, 0.0], "object": [0.0, -0.08, 0.0]}
 
 RAISED = (0.16, -0.22, 0.86)  # m, ahead of the pelvis, to its left, above the floor
 BEFORE = 0.12  # m, gripper before the eraser on the way to it
-GRIP = (
-    -0.027
-)  # m, middle of the pads from the eraser's middle: pressed, it slips 8 mm inwards, and the finger tips still stay
-# off the board
+GRIP = -0.027  # m, middle of the pads from the eraser's middle; pressed, it slips 8 mm in, the tips still off the board
 LIFT = 0.06  # m, from the tray to the writing
 TO_BOARD = 0.005  # m, from the felt to the board
 PRESS = (0.005, 0.012)  # m, how far inside the board the felt is asked to be, first and last: the arm gives way
