@@ -29,7 +29,7 @@ class Preset:
         steps: Steps; the paper does not say how many.
         options: Fields of the policy's configuration.
         cosine: Whether the learning rate falls to zero after a warmup of a twentieth of the steps.
-        bfloat16: Whether it trains on matrix products in bfloat16 where the processor has instructions for them.
+        bfloat16: Fields of the policy's configuration that are set where the processor has instructions for bfloat16.
     """
 
     type: str
@@ -37,7 +37,7 @@ class Preset:
     steps: int
     options: Mapping[str, Any] = field(default_factory=dict)
     cosine: bool = False
-    bfloat16: bool = False
+    bfloat16: Mapping[str, Any] = field(default_factory=dict)
 
 
 _MIN_MAX_ACTIONS = {  # what Diffusion's samples, clipped to +-1, ask for; inputs as the others have them
@@ -55,7 +55,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         steps=8_000,
         options={**CHUNK, "optimizer_lr": 1e-3},
         cosine=True,
-        bfloat16=True,
+        bfloat16={"dtype": "bfloat16"},  # in training only
     ),
     ("act", "paper"): Preset(
         type="act",
@@ -91,6 +91,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "optimizer_lr": 5e-4,
         },
         cosine=True,
+        bfloat16={"use_amp": True},
     ),
     ("diffusion", "paper"): Preset(
         type="diffusion",
@@ -171,8 +172,8 @@ def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTraine
         options["normalization_mapping"] = {key: NormalizationMode[mode] for key, mode in modes}
     if preset.cosine and preset.type != "act":  # ACT's configuration knows no schedule
         options["scheduler_warmup_steps"] = warmup_steps(steps)
-    if preset.bfloat16 and device == "cpu" and has_bfloat16():
-        options["dtype"] = "bfloat16"
+    if device == "cpu" and preset.bfloat16 and has_bfloat16():
+        options |= preset.bfloat16
     return make_policy_config(preset.type, device=device, push_to_hub=False, **options)
 
 

@@ -10,7 +10,7 @@ import json
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -302,7 +302,9 @@ def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any
 
     batch: dict[str, Any] = preprocess_observation(observation)
     batch["task"] = [env.task_description] * env.num_envs
-    with torch.inference_mode():
+    config = loaded.policy.config
+    precision = torch.autocast(str(config.device)) if config.use_amp else nullcontext()  # as lerobot-eval
+    with torch.inference_mode(), precision:
         batch = loaded.preprocessor(loaded.env_preprocessor(batch))
         actions = loaded.postprocessor(loaded.policy.select_action(batch))
         actions = loaded.env_postprocessor({ACTION: actions})[ACTION]

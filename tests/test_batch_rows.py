@@ -31,8 +31,8 @@ def test_whole_blocks_and_images_are_left_as_they_are(key: str) -> None:
     assert cut({"action": torch.zeros(count, 4)})["action"].shape == (count, 4)
 
 
-@pytest.mark.parametrize("policy", ["mlp", "act"])
-def test_a_row_has_the_same_bits_in_any_batch(policy: str) -> None:
+@pytest.mark.parametrize(("policy", "precision"), [("mlp", "float32"), ("act", "float32"), ("act", "bfloat16")])
+def test_a_row_has_the_same_bits_in_any_batch(policy: str, precision: str) -> None:
     torch.manual_seed(0)
     config: Any = policy_config(get_preset(policy, "cpu"), steps=10)
     config.input_features = {
@@ -46,7 +46,8 @@ def test_a_row_has_the_same_bits_in_any_batch(policy: str) -> None:
 
     def act(rows: list[int]) -> torch.Tensor:
         batch = fill({key: value[rows] for key, value in seen.items()} | {"task": ["lift"] * len(rows)})
-        return cut({"action": network.predict_action_chunk(batch)[:, 0]})["action"]
+        with torch.autocast("cpu", enabled=precision == "bfloat16"):
+            return cut({"action": network.predict_action_chunk(batch)[:, 0]})["action"]
 
     whole = act(list(range(40)))
     for rows in ([0], [39], [3, 2, 1], list(range(17)), list(range(39, 5, -1))):

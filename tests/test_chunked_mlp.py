@@ -1,15 +1,16 @@
 """The chunked MLP: shapes, padding, action queue, normalisation with a floor, save and load, and that it learns."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.policies.factory import get_policy_class, make_policy_config, make_pre_post_processors
-from torch import Tensor
+from torch import Tensor, nn
 
-from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
+from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig, FusedAdamWConfig
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
 from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import floor_std, make_chunked_mlp_pre_post_processors
 
@@ -71,6 +72,7 @@ def test_registered_with_lerobot() -> None:
         ({"hidden_dims": []}, "hidden_dims"),
         ({"std_floor": 0.0}, "std_floor"),
         ({"dropout": 1.0}, "dropout"),
+        ({"dtype": "float16"}, "dtype='float16'"),
     ],
 )
 def test_impossible_configurations_are_refused(changes: dict, message: str) -> None:
@@ -162,6 +164,17 @@ def test_save_and_load(tmp_path: Path) -> None:
     for key in ("observation.state", "observation.environment_state"):
         torch.testing.assert_close(loaded_before(dict(batch))[key], before(dict(batch))[key])
     torch.testing.assert_close(loaded_after(batch["action"][:, 0]), after(batch["action"][:, 0]))
+
+
+def test_one_pass_over_the_weights_is_adamw() -> None:
+    weights = [nn.Parameter(torch.linspace(-1, 1, 5)) for _ in range(2)]
+    options: dict[str, Any] = {"lr": 0.03, "betas": (0.8, 0.9), "eps": 1e-6, "weight_decay": 0.1}
+    optimizers = [FusedAdamWConfig(**options).build([weights[0]]), torch.optim.AdamW([weights[1]], **options)]
+    for step in range(20):
+        for weight, optimizer in zip(weights, optimizers, strict=True):
+            weight.grad = torch.sin(7 * weight.detach() + step)
+            optimizer.step()
+    torch.testing.assert_close(weights[0], weights[1])
 
 
 def test_it_learns_a_linear_controller() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
 from lerobot_demohlm import cli, dataset_files, loading, presets, training
 from lerobot_demohlm.dataset import write_facts
 from lerobot_demohlm.evaluation import evaluate
-from lerobot_demohlm.presets import NAMES, POLICIES, Preset, get_preset, policy_config, train_config
+from lerobot_demohlm.presets import NAMES, POLICIES, get_preset, policy_config, train_config
 from lerobot_demohlm.rollouts import Setting, load_policy
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -37,12 +38,11 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the networks of the cpu presets tiny."""
     table = {
-        key: Preset(
-            type=preset.type,
+        key: replace(
+            preset,
             batch_size=8,
             steps=3,
             options={**preset.options, **(SMALL[key[0]] if key[1] == "cpu" else {})},
-            cosine=preset.cosine,
         )
         for key, preset in presets.PRESETS.items()
     }
@@ -66,6 +66,16 @@ def test_paper_presets_are_the_papers() -> None:
     assert (act.dim_feedforward, act.latent_dim, act.kl_weight, act.use_vae) == (3200, 32, 10, True)
     assert (diffusion.down_dims, diffusion.kernel_size, diffusion.n_obs_steps) == ((256, 512, 1024), 5, 1)
     assert (diffusion.diffusion_step_embed_dim, diffusion.num_train_timesteps) == (256, 100)
+
+
+@pytest.mark.parametrize("name", ["avx512_bf16", "amx_bf16", "avx2"])
+def test_cpu_presets_train_in_bfloat16_where_the_processor_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {name: True})
+    for preset, device, expected in (("cpu", "cpu", name != "avx2"), ("paper", "cpu", False), ("cpu", "cuda", False)):
+        mlp, act = (policy_config(get_preset(policy, preset), 100, device) for policy in ("mlp", "act"))
+        assert mlp.dtype == ("bfloat16" if expected else "float32")
+        assert not mlp.use_amp  # it acts in float32
+        assert act.use_amp == expected
 
 
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
