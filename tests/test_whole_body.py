@@ -1,10 +1,14 @@
 """The run-time controller: same bits alone and in a batch, mirror symmetry, the gait clock, bad files."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from gym_demohlm.control import arm_load, attitude, command, features, odometry, reference
@@ -47,6 +51,15 @@ def test_same_bits_alone_and_in_any_batch() -> None:
         targets, own_state = _run(group)
         assert np.array_equal(targets, together[group])
         assert np.array_equal(own_state, state[group])
+
+
+@pytest.mark.skipif(not torch.cpu.get_capabilities().get("avx2", False), reason="its kernels need AVX2")
+@pytest.mark.parametrize("core", ["Haswell", "Zen"])
+def test_same_bits_with_the_kernels_of_other_processors(core: str) -> None:
+    """OpenBLAS chooses by processor: Haswell's kernel rounds a row by its place among six, which SkylakeX's does not."""
+    call = [sys.executable, "-m", "pytest", "-q", f"{__file__}::{test_same_bits_alone_and_in_any_batch.__name__}"]
+    ran = subprocess.run(call, env={**os.environ, "OPENBLAS_CORETYPE": core}, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout
 
 
 def test_subset_of_worlds_moves_only_itself() -> None:

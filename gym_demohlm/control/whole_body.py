@@ -1,7 +1,8 @@
 """Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller, batched, NumPy only.
 
 A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
-differently with the number of rows, so rows are padded to blocks of 16 and every block goes through the same kernel.
+differently with the number of rows and with its place among them, so they are padded to blocks of six worlds and their
+six mirror images: kernels that take four, six or sixteen rows at a time (OpenBLAS's for SkylakeX, Haswell, Zen) are one.
 """
 
 import hashlib
@@ -17,7 +18,7 @@ from gym_demohlm.robot import g1
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
 WEIGHTS_FORMAT = 4
-_BLOCK = 16
+_BLOCK = 12  # rows
 _ONE_THREAD_PRODUCT = 262144  # multiplications
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 _SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
@@ -223,7 +224,7 @@ class WholeBodyController:
         return (0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR)))[:rows]
 
     def _network(self, blocks: np.ndarray) -> np.ndarray:
-        """Apply the layers to blocks one by one, (B, 16, OBSERVATION_SIZE) -> (B, 16, 15), float32."""
+        """Apply the layers to blocks one by one, (B, 12, OBSERVATION_SIZE) -> (B, 12, 15), float32."""
         last = len(self.weights.layers) - 1
         for index, (pieces, bias) in enumerate(self.weights.layers):
             blocks = np.concatenate([blocks @ piece for piece in pieces], axis=2) + bias
