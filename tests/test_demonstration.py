@@ -23,6 +23,13 @@ def demonstration() -> Demonstration:
     return demonstrations.load(task=TASK)
 
 
+@pytest.fixture(scope="module")
+def recorded() -> Demonstration:
+    """Return what ``demohlm record`` makes here: processors of other families differ in the last bits."""
+    script = script_of(TASK)
+    return record(TASK, script.make_operator(), script.start)
+
+
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """Return a copy of the packaged demonstration that a test may spoil."""
@@ -78,26 +85,33 @@ def test_poses_are_consistent(demonstration: Demonstration) -> None:
     np.testing.assert_array_equal(demonstration.joint_positions, demonstration.state[:, :29])
 
 
-def test_replay_gives_the_same_bits(demonstration: Demonstration) -> None:
-    outcome = replay(demonstration)
+def test_replay_gives_the_same_bits(recorded: Demonstration) -> None:
+    outcome = replay(recorded)
     assert outcome.remarks == ()
     assert outcome.identical
-    assert outcome.num_ticks == len(demonstration)
+    assert outcome.num_ticks == len(recorded)
 
 
-def test_replay_notices_a_changed_command(demonstration: Demonstration) -> None:
-    action = demonstration.action.copy()
+def test_replay_notices_a_changed_command(recorded: Demonstration) -> None:
+    action = recorded.action.copy()
     action[10, 7] += np.float32(1e-3)
-    outcome = replay(dataclasses.replace(demonstration, action=action))
+    outcome = replay(dataclasses.replace(recorded, action=action))
     assert outcome.first_difference == 11
     assert not outcome.identical
     assert outcome.largest_difference > 1e-6
 
 
-def test_recording_again_gives_the_same_demonstration(demonstration: Demonstration) -> None:
-    """The packaged files are what ``demohlm record`` makes of the script, the controller and the model as they are."""
+def test_recording_again_gives_the_same_bits(recorded: Demonstration) -> None:
     script = script_of(TASK)
-    assert record(TASK, script.make_operator(), script.start).content_hash == demonstration.content_hash
+    assert record(TASK, script.make_operator(), script.start).content_hash == recorded.content_hash
+
+
+def test_recording_gives_the_packaged_demonstration(recorded: Demonstration, demonstration: Demonstration) -> None:
+    """The packaged files are what ``demohlm record`` makes of the script, the controller and the model as they are."""
+    np.testing.assert_allclose(recorded.action, demonstration.action, atol=1e-4)
+    np.testing.assert_allclose(recorded.state, demonstration.state, atol=1e-3)
+    if not replay(demonstration).remarks:  # the same family of processors and the same libraries
+        assert recorded.content_hash == demonstration.content_hash
 
 
 def test_an_existing_root_is_left_alone(demonstration: Demonstration, tmp_path: Path) -> None:

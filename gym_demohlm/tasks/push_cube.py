@@ -30,7 +30,7 @@ DROPPED = dropped("cube", 0.05)
 
 
 def _build(spec: mujoco.MjSpec) -> None:
-    table = add_round_table(spec, TABLE_POSITION, TABLE_RADIUS, TABLE_HEIGHT)
+    table = add_round_table(spec, TABLE_POSITION, TABLE_RADIUS, TABLE_HEIGHT, up_to_rim=True)
     offset = [FIELD_POSITION[0] - TABLE_POSITION[0], FIELD_POSITION[1] - TABLE_POSITION[1], TABLE_HEIGHT]
     field = table.add_body(name="field", pos=offset)
     add_picture(field, "box", FIELD_HALF_SIZE, rgba=(0.35, 0.60, 0.35, 1.0))
