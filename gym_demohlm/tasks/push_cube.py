@@ -3,7 +3,8 @@
 Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, however the robot stands;
 it pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Mended: the cube's pose alone does
 not tell which way the world's y is, so a field on the table, tracked too, shows where the cube should go; the cube must
-still be on the table; the region's y and z offsets move the table with the cube.
+still be on the table, and the right palm must have pushed it: an arm that strikes it may send it as far. The region's y
+and z offsets move the table with the cube.
 """
 
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
-from gym_demohlm.task import ObjectSpec, Task, dropped
+from gym_demohlm.task import Memory, ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
@@ -24,6 +25,9 @@ TABLE_RADIUS, TABLE_HEIGHT = 0.22, 0.75  # m; round, so that the robot can stand
 CUBE_POSITION = (0.35, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
 TABLE_POSITION = (0.35, 0.07)  # under the middle of the cube's way
 PUSHED_DISTANCE = 0.1  # m
+PUSHED_SHARE = 0.8  # of it, with the palm on the cube
+PUSHING_N = 0.5  # least force of a palm that pushes
+STRUCK = 0.05  # m in a step; what is faster is struck, not pushed
 FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
 FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
 DROPPED = dropped("cube", 0.05)
@@ -39,9 +43,22 @@ def _build(spec: mujoco.MjSpec) -> None:
     cube.friction[0] = CUBE_FRICTION
 
 
-def _pushed(sim: "Worlds") -> np.ndarray:
-    moved = sim.pose("cube")[:, 1, 3] - sim.start_pose("cube")[:, 1, 3]
-    return (moved > PUSHED_DISTANCE) & ~DROPPED(sim)
+def _moved(sim: "Worlds") -> np.ndarray:
+    """Return how far to the left the cube is of where it began (N,) [m]."""
+    return sim.pose("cube")[:, 1, 3] - sim.start_pose("cube")[:, 1, 3]
+
+
+def _remember(sim: "Worlds", memory: np.ndarray) -> np.ndarray:
+    """Add the last step's way to that pushed by the palm; memory (N, 2) is this way and where the cube was [m]."""
+    pushed, before = memory.T
+    moved = _moved(sim)
+    pushing = (sim.contact_force("right", "cube") >= PUSHING_N) & (np.abs(moved - before) < STRUCK)
+    return np.stack([pushed + np.where(pushing, moved - before, 0.0), moved], axis=1)
+
+
+def _success(sim: "Worlds") -> np.ndarray:
+    pushed = sim.memory[:, 0] > PUSHED_SHARE * PUSHED_DISTANCE
+    return pushed & (_moved(sim) > PUSHED_DISTANCE) & ~DROPPED(sim)
 
 
 TASK = Task(
@@ -53,11 +70,12 @@ TASK = Task(
         ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),
         ObjectSpec(name="field", position=FIELD_POSITION, placed=False),
     ),
-    success=_pushed,
+    success=_success,
     failures={"dropped": DROPPED},
     gaze_target="cube",
     supports=("table",),
     obstacles=("table",),
     contact_pairs=(("right", "cube"),),
     motion_frame="scene",
+    memory=Memory(size=2, update=_remember),
 )
