@@ -56,7 +56,7 @@ def test_same_bits_alone_and_in_any_batch() -> None:
 @pytest.mark.skipif(not torch.cpu.get_capabilities().get("avx2", False), reason="its kernels need AVX2")
 @pytest.mark.parametrize("core", ["Haswell", "Zen"])
 def test_same_bits_with_the_kernels_of_other_processors(core: str) -> None:
-    """OpenBLAS chooses by processor: Haswell's kernel rounds a row by its place among six, which SkylakeX's does not."""
+    """OpenBLAS chooses them: Haswell's rounds a row by its place among six, which SkylakeX's does not."""
     call = [sys.executable, "-m", "pytest", "-q", f"{__file__}::{test_same_bits_alone_and_in_any_batch.__name__}"]
     ran = subprocess.run(call, env={**os.environ, "OPENBLAS_CORETYPE": core}, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout

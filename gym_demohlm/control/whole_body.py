@@ -1,8 +1,8 @@
 """Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller, batched, NumPy only.
 
 A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
-differently with the number of rows and with its place among them, so they are padded to blocks of six worlds and their
-six mirror images: kernels that take four, six or sixteen rows at a time (OpenBLAS's for SkylakeX, Haswell, Zen) are one.
+differently with the number of rows and with its place among them. They are padded to blocks of six worlds and their six
+mirror images, which all kernels of OpenBLAS from Haswell on treat alike, whether they take four, six or sixteen rows.
 """
 
 import hashlib

@@ -18,6 +18,7 @@ Hands = Literal["rubber", "gripper"]
 HANDS: tuple[str, ...] = get_args(Hands)
 
 HAND_BIT = 4  # collision bit of hands against each other and against the robot's own trunk and legs
+HARD = ((0.004, 1.0), (0.95, 0.99, 0.001))  # solref and solimp of what does not yield
 _HAND_OBSTACLES = ("pelvis", "torso", "left_thigh", "right_thigh", "left_shin", "right_shin")  # + "_collision"
 
 
@@ -28,14 +29,15 @@ class RubberPalm:
     The hand's mesh reaches 0.045 m from the wrist axis with its curled finger tips, 0.026 m with its thumb and 0.010 m
     with its palm. Rubber yields, so a flat face at the finger tips stands for the hand pressed against an object. It is
     toed in, as the curled hand is, and comes parallel as the wrist yields to the squeeze; and it is soft, giving way by
-    a few millimetres, so that all of it bears at once.
+    a few millimetres, so that all of it bears at once, down to a hard core that a robot leaning on its hand rests on.
 
     Attributes:
         face_center: Centre of the left hand's face in the wrist-yaw frame [m]; the right hand's is mirrored.
         toe_in: Turn of the box about the hand's z axis, finger tips towards the object [rad].
         half_size: Of the box [m].
         friction: Sliding, torsional [m] and rolling [m] friction; torsional that of a bearing patch of 3 cm radius.
-        solref, solimp: MuJoCo's contact softness.
+        solref, solimp: MuJoCo's contact softness of the rubber.
+        thickness: Of the rubber over the core, which is as hard as a gripper's finger [m].
     """
 
     face_center: tuple[float, float, float] = (0.107, -0.045, 0.0)
@@ -44,6 +46,7 @@ class RubberPalm:
     friction: tuple[float, float, float] = (1.2, 0.025, 0.0005)
     solref: tuple[float, float] = (0.0065, 1.0)
     solimp: tuple[float, float, float] = (0.35, 0.99, 0.01)
+    thickness: float = 0.0025
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +132,7 @@ def add_hands(spec: mujoco.MjSpec, kind: Hands) -> None:
 def contact_geoms(kind: Hands, side: str) -> tuple[str, ...]:
     """Return the names of the geoms with which a hand grasps."""
     if kind == "rubber":
-        return (f"{side}_palm_pad",)
+        return (f"{side}_palm_pad", f"{side}_palm_core")
     return tuple(f"{side}_{jaw}_pad" for jaw in ("jaw", "mirror"))
 
 
@@ -138,11 +141,13 @@ def _add_rubber_palm(spec: mujoco.MjSpec, side: str, palm: RubberPalm) -> None:
     x, y, z = palm.face_center
     depth, angle = palm.half_size[1], -sign * palm.toe_in
     wrist = spec.body(f"{side}_wrist_yaw_link")
-    pad = wrist.add_geom(name=f"{side}_palm_pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=palm.half_size)
-    pad.pos = [x - sign * depth * math.sin(angle), sign * (y + depth * math.cos(angle)), z]
-    pad.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-    _make_grasping(pad)
-    pad.mass, pad.friction, pad.solref, pad.solimp[:3] = 0.0, palm.friction, palm.solref, palm.solimp
+    for name, inside, softness in (("pad", 0.0, (palm.solref, palm.solimp)), ("core", palm.thickness, HARD)):
+        size = [half - inside for half in palm.half_size]
+        geom = wrist.add_geom(name=f"{side}_palm_{name}", type=mujoco.mjtGeom.mjGEOM_BOX, size=size)
+        geom.pos = [x - sign * depth * math.sin(angle), sign * (y + depth * math.cos(angle)), z]
+        geom.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+        _make_grasping(geom)
+        geom.mass, geom.friction, geom.solref, geom.solimp[:3] = 0.0, palm.friction, *softness
     spec.site(f"{side}_palm").pos = [x, sign * y, z]
 
 
@@ -182,7 +187,7 @@ def _add_gripper(spec: mujoco.MjSpec, side: str, gripper: ParallelGripper) -> No
         pad = body.add_geom(name=f"{side}_{jaw}_pad", type=mujoco.mjtGeom.mjGEOM_BOX)
         _make_grasping(pad)
         pad.size, pad.pos, pad.mass = [finger_x, finger_y, finger_z], [finger_x, 0, 0], 0.0
-        pad.friction, pad.solref, pad.solimp[:3] = gripper.friction, [0.004, 1], [0.95, 0.99, 0.001]
+        pad.friction, pad.solref, pad.solimp[:3] = gripper.friction, *HARD
         half = [finger_x / 2, finger_y, finger_z]
         for middle, rgba in ((finger_x / 2, light), (3 * finger_x / 2, dark)):
             _add_visual(body, "box", half, [middle, 0, 0], rgba, gripper.finger_mass / 4)

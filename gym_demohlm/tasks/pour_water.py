@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 TABLE_POSITION, TABLE_HALF, TABLE_HEIGHT = (0.42, 0.0), (0.17, 0.34), 0.75  # m
 BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL = 0.031, 0.16, 0.008  # m
 BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL = 0.068, 0.07, 0.010  # m
-BOTTLE_MASS, BOWL_MASS = 0.08, 0.40  # kg
+BOTTLE_MASS, BOWL_MASS = 0.20, 0.40  # kg
 BOTTLE_POSITION = (0.37, -0.11, TABLE_HEIGHT + BOTTLE_HEIGHT / 2)
 BOWL_POSITION = (0.37, 0.12, TABLE_HEIGHT + BOWL_HEIGHT / 2)
 NUM_DROPS, DROP_RADIUS, DROP_MASS = 15, 0.009, 0.003  # m, kg: water
+HARD = (0.95, 0.999, 0.001)  # MuJoCo's solimp: a robot that falls on so light a bottle does not press it into the table
 DROPS = tuple(f"drop_{index}" for index in range(NUM_DROPS))
 NEAR = 0.10  # m, bottle to bowl seen from above
 POURED = 0.75  # of the drops
@@ -38,6 +39,8 @@ def _build(spec: mujoco.MjSpec) -> None:
     glass, clay = (0.55, 0.80, 0.90, 0.30), (0.85, 0.80, 0.70, 1.0)
     add_vessel(spec, "bottle", BOTTLE_POSITION, BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL, BOTTLE_MASS, glass)
     add_vessel(spec, "bowl", BOWL_POSITION, BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL, BOWL_MASS, clay)
+    for name in ("table_top", "bottle", "bowl"):
+        spec.geom(name).solimp[:3] = HARD
     bottom = BOTTLE_POSITION[2] - BOTTLE_HEIGHT / 2 + BOTTLE_WALL + DROP_RADIUS
     ring = 1.02 * DROP_RADIUS / math.sin(math.pi / 3)  # three drops a layer
     for index, name in enumerate(DROPS):
