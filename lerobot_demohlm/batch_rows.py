@@ -2,7 +2,8 @@
 
 A matrix product may round a row differently in another number of rows, and a rollout with contacts makes another
 episode of the last bit. In blocks of 16 rows MLP and ACT give each row the same bits, whatever is in the others, so a
-policy's episode depends on its seed and not on how many are rolled out together, here and in ``lerobot-eval``.
+policy's episode depends on its seed and not on how many are rolled out together, here and in ``lerobot-eval``. (Of a
+layer narrower than 16, which no preset has, some processors round a row by its place all the same.)
 """
 
 from dataclasses import dataclass, field

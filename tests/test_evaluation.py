@@ -26,7 +26,7 @@ SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 
 
 def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
     """Write the checkpoint of a policy that stands still, or fidgets where it is given weights of a scale."""
-    config = ChunkedMLPConfig(device="cpu", push_to_hub=False, hidden_dims=[4], chunk_size=4, n_action_steps=3)
+    config = ChunkedMLPConfig(device="cpu", push_to_hub=False, hidden_dims=[16], chunk_size=4, n_action_steps=3)
     config.input_features = {
         "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(state_size,)),
         "observation.environment_state": PolicyFeature(type=FeatureType.ENV, shape=(9,)),

@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,22 +63,35 @@ def test_a_hand_that_hovers_does_not_press() -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "success", "dropped"),
+    ("offset", "pushed", "success", "dropped"),
     [
-        ((0.0, 0.11, 0.0), True, False),
-        ((0.0, 0.09, 0.0), False, False),
-        ((0.11, -0.11, 0.0), False, False),
-        ((0.0, 0.3, -0.2), False, True),
+        ((0.0, 0.11, 0.0), 0.11, True, False),
+        ((0.0, 0.11, 0.0), 0.07, False, False),
+        ((0.0, 0.09, 0.0), 0.09, False, False),
+        ((0.11, -0.11, 0.0), 0.0, False, False),
+        ((0.0, 0.3, -0.2), 0.3, False, True),
     ],
 )
-def test_a_push_counts_to_the_left_and_on_the_table(
-    offset: tuple[float, float, float], success: bool, dropped: bool
+def test_a_push_counts_to_the_left_by_the_palm_and_on_the_table(
+    offset: tuple[float, float, float], pushed: float, success: bool, dropped: bool
 ) -> None:
     sim = simulation(push_cube.TASK)
     put(sim, "cube", sim.pose("cube")[0] + poses.pose(offset) - np.eye(4))
+    sim.restore(sim.snapshot() | {"memory": np.array([[pushed, offset[1]]])})
     assert sim.success()[0] == success
     assert sim.failures()["dropped"][0] == dropped
     sim.close()
+
+
+@pytest.mark.parametrize(("force_n", "step", "counted"), [(4.0, 0.02, 0.02), (0.0, 0.02, 0.0), (30.0, 0.08, 0.0)])
+def test_a_palm_pushes_what_it_is_on_and_does_not_strike(force_n: float, step: float, counted: float) -> None:
+    start, memory = np.eye(4)[None], push_cube.TASK.memory
+    pose = poses.pose((0.0, 0.05 + step, 0.0))[None]
+    fake: Any = SimpleNamespace(
+        pose=lambda _: pose, start_pose=lambda _: start, contact_force=lambda *_: np.array([force_n])
+    )
+    assert memory is not None
+    np.testing.assert_allclose(memory.update(fake, np.array([[0.04, 0.05]])), [[0.04 + counted, 0.05 + step]])
 
 
 def test_the_field_moves_with_the_table_and_not_with_the_cubes_yaw() -> None:
