@@ -8,8 +8,6 @@ import numpy as np
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState, Task
 
-LOOKS = 3  # in a row, after which a depth is a lasting one
-
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Overlap:
@@ -29,14 +27,12 @@ class WatchedSimulation(Simulation):
 
     Attributes:
         deepest: At any look.
-        lasting: At three looks in a row, 0.02 s apart; the least depth of the three. What is struck is out again after
-            one or two: a contact's time constant is 0.005 s.
+        lasting: At two looks in a row, 0.02 s apart; the lesser depth of the two.
     """
 
     def __init__(self, task: Task, num_worlds: int = 1) -> None:
         self.deepest = self.lasting = Overlap()
-        # By pair of geoms, the depths at the last looks, the newest first.
-        self._before: list[dict[tuple[int, int], tuple[float, ...]]] = [{} for _ in range(num_worlds)]
+        self._before: list[dict[tuple[int, int], float]] = [{} for _ in range(num_worlds)]  # depth by pair of geoms
         super().__init__(task, num_worlds)
         model = self.model
         robot = model.body_rootid[model.body("pelvis").id]
@@ -58,14 +54,13 @@ class WatchedSimulation(Simulation):
             for (first, second), distance in zip(contacts.geom.tolist(), contacts.dist.tolist(), strict=True):
                 if distance < 0.0 and (self._added[first] or self._added[second]):
                     now[first, second] = max(-distance, now.get((first, second), 0.0))
-            depths = {pair: (depth, *self._before[world].get(pair, ()))[:LOOKS] for pair, depth in now.items()}
             for pair, depth in now.items():
-                lasting = min(depths[pair]) if len(depths[pair]) == LOOKS else 0.0
+                lasting = min(depth, self._before[world].get(pair, 0.0))
                 if depth > self.deepest.depth:
                     self.deepest = self._overlap(depth, pair, world)
                 if lasting > self.lasting.depth:
                     self.lasting = self._overlap(lasting, pair, world)
-            self._before[world] = depths
+            self._before[world] = now
 
     def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
         sound = super()._tick(tick, rows, commands)

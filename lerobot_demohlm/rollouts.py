@@ -303,7 +303,8 @@ def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any
     batch: dict[str, Any] = preprocess_observation(observation)
     batch["task"] = [env.task_description] * env.num_envs
     config = loaded.policy.config
-    precision = torch.autocast(str(config.device)) if config.use_amp else nullcontext()  # as lerobot-eval
+    kind = torch.device(str(config.device)).type
+    precision = torch.autocast(kind) if config.use_amp else nullcontext()  # as lerobot-eval
     with torch.inference_mode(), precision:
         batch = loaded.preprocessor(loaded.env_preprocessor(batch))
         actions = loaded.postprocessor(loaded.policy.select_action(batch))

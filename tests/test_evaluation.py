@@ -65,6 +65,21 @@ def played(loaded: rollouts.LoadedPolicy, seeds: list[int], **kwargs: int) -> tu
     return list(found), np.stack(states)
 
 
+@pytest.mark.parametrize("use_amp", [False, True])
+def test_a_policy_acts_in_the_precision_it_was_trained_in(use_amp: bool, checkpoint: Path) -> None:
+    loaded = load_policy(checkpoint, TASK)
+    loaded.policy.config.use_amp = use_amp
+    select, seen = loaded.policy.select_action, []
+
+    def watched(batch: dict) -> torch.Tensor:
+        seen.append(torch.is_autocast_enabled("cpu"))
+        return select(batch)
+
+    loaded.policy.select_action = watched  # type: ignore[method-assign]
+    played(loaded, [7])
+    assert set(seen) == {use_amp}
+
+
 def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(restless: Path) -> None:
     loaded = load_policy(restless, TASK)
     seeds = [7, 8, 9]

@@ -2,7 +2,7 @@
 
 A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
 differently with the number of rows and with its place among them. They are padded to blocks of six worlds and their six
-mirror images, which all kernels of OpenBLAS from Haswell on treat alike, whether they take four, six or sixteen rows.
+mirror images: OpenBLAS's kernels for SkylakeX round all of them alike, those for Haswell and Zen each six.
 """
 
 import hashlib

