@@ -21,6 +21,8 @@ WOOD, DARK_WOOD, STEEL, CARDBOARD = (
 TOP_THICKNESS = 0.03
 SOFTNESS = (0.005, 1.0)
 """A contact's time constant [s] and damping ratio: wood and steel that meet at 2 m/s give way by less than 5 mm."""
+UNYIELDING = (0.95, 0.999, 0.001)
+"""MuJoCo's solimp of small things on a table: a robot that falls on one presses it less far into the table."""
 _LEG_RADIUS = 0.025
 _FOOT_HEIGHT = 0.3
 _SHAPES = {

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
 
-CUBE_EDGE, CUBE_MASS = 0.06, 0.2  # m, kg
+CUBE_EDGE, CUBE_MASS = 0.06, 0.4  # m, kg: of stone
 TABLE_RADIUS, TABLE_HEIGHT = 0.12, 0.75  # m
 CUBE_POSITION = (0.35, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
-FRICTION = (0.4, 0.005, 0.0005)  # polished wood on anything: sliding, torsional [m], rolling [m]
+FRICTION = (0.4, 0.005, 0.0005)  # polished stone on anything: sliding, torsional [m], rolling [m]
 IN_HAND = 0.05  # m, left palm to the cube's centre
 DROP = 0.3  # m below its start
 
@@ -28,7 +28,7 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_round_table(spec, CUBE_POSITION[:2], TABLE_RADIUS, TABLE_HEIGHT, up_to_rim=True)
     add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS)
     for name in ("cube", "table_top"):
-        spec.geom(name).friction = FRICTION
+        spec.geom(name).friction, spec.geom(name).solimp[:3] = FRICTION, UNYIELDING
     spec.geom("cube").priority = 2  # on rubber too: it slides onto the palm where it would stick and tip over
 
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import LIQUID_BIT, add_picture, add_shape, add_table, add_vessel
+from gym_demohlm.furniture import LIQUID_BIT, UNYIELDING, add_picture, add_shape, add_table, add_vessel
 from gym_demohlm.robot.g1 import WORLD_BIT
 from gym_demohlm.task import ObjectSpec, Task
 
@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 TABLE_POSITION, TABLE_HALF, TABLE_HEIGHT = (0.42, 0.0), (0.17, 0.34), 0.75  # m
 BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL = 0.031, 0.16, 0.008  # m
 BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL = 0.068, 0.07, 0.010  # m
-BOTTLE_MASS, BOWL_MASS = 0.20, 0.40  # kg
+BOTTLE_MASS, BOWL_MASS = 0.30, 0.40  # kg
 BOTTLE_POSITION = (0.37, -0.11, TABLE_HEIGHT + BOTTLE_HEIGHT / 2)
 BOWL_POSITION = (0.37, 0.12, TABLE_HEIGHT + BOWL_HEIGHT / 2)
 NUM_DROPS, DROP_RADIUS, DROP_MASS = 15, 0.009, 0.003  # m, kg: water
-UNYIELDING = (0.95, 0.999, 0.001)  # MuJoCo's solimp: what falls on so light a bottle presses it less far into the table
 DROPS = tuple(f"drop_{index}" for index in range(NUM_DROPS))
 NEAR = 0.10  # m, bottle to bowl seen from above
 POURED = 0.75  # of the drops
