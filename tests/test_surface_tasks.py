@@ -69,6 +69,7 @@ def test_a_hand_that_hovers_does_not_press() -> None:
         ((0.0, 0.11, 0.0), 0.07, False, False),
         ((0.0, 0.09, 0.0), 0.09, False, False),
         ((0.11, -0.11, 0.0), 0.0, False, False),
+        ((0.0, 0.3, -0.03), 0.3, False, False),
         ((0.0, 0.3, -0.2), 0.3, False, True),
     ],
 )

@@ -11,14 +11,14 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.worlds import Worlds
 
 CUBE_EDGE = 0.06  # m
-CUBE_MASS = 0.15  # kg
+CUBE_MASS = 0.20  # kg
 TABLE_RADIUS, TABLE_HEIGHT = 0.15, 0.70  # m; round, so that the robot can stand before any side of the cube
 CUBE_POSITION = (0.40, 0.0, TABLE_HEIGHT + CUBE_EDGE / 2)
 LIFTED = 0.1  # m, the cube's centre above the table top
@@ -29,6 +29,8 @@ DROP = 0.05  # m below its start
 def _build(spec: mujoco.MjSpec) -> None:
     add_round_table(spec, CUBE_POSITION[:2], TABLE_RADIUS, TABLE_HEIGHT)
     add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS)
+    for name in ("table_top", "cube"):
+        spec.geom(name).solimp[:3] = UNYIELDING
 
 
 def _held_close(sim: "Worlds") -> np.ndarray:

@@ -3,8 +3,8 @@
 Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, however the robot stands;
 it pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Mended: the cube's pose alone does
 not tell which way the world's y is, so a field on the table, tracked too, shows where the cube should go; the cube must
-still be on the table, and the right palm must have pushed it: an arm that strikes it may send it as far. The region's y
-and z offsets move the table with the cube.
+still stand on the table, and the right palm must have pushed it: an arm that strikes it may send it as far. The
+region's y and z offsets move the table with the cube.
 """
 
 from typing import TYPE_CHECKING
@@ -30,7 +30,7 @@ PUSHING_N = 0.5  # least force of a palm that pushes
 STRUCK = 0.035  # m in a step; what is faster is struck, not pushed
 FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
 FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
-DROPPED = dropped("cube", 0.05)
+DROPPED, OVER_RIM = dropped("cube", 0.05), dropped("cube", 0.01)
 
 
 def _build(spec: mujoco.MjSpec) -> None:
@@ -58,7 +58,7 @@ def _remember(sim: "Worlds", memory: np.ndarray) -> np.ndarray:
 
 def _success(sim: "Worlds") -> np.ndarray:
     pushed = sim.memory[:, 0] > PUSHED_SHARE * PUSHED_DISTANCE
-    return pushed & (_moved(sim) > PUSHED_DISTANCE) & ~DROPPED(sim)
+    return pushed & (_moved(sim) > PUSHED_DISTANCE) & ~OVER_RIM(sim)
 
 
 TASK = Task(
