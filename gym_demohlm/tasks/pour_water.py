@@ -27,6 +27,7 @@ BOTTLE_MASS, BOWL_MASS = 0.30, 0.40  # kg
 BOTTLE_POSITION = (0.37, -0.11, TABLE_HEIGHT + BOTTLE_HEIGHT / 2)
 BOWL_POSITION = (0.37, 0.12, TABLE_HEIGHT + BOWL_HEIGHT / 2)
 NUM_DROPS, DROP_RADIUS, DROP_MASS = 15, 0.009, 0.003  # m, kg: water
+SHORT = (0.004, 1.0)  # MuJoCo's solref of table, bottle and bowl: as short as its time step allows
 DROPS = tuple(f"drop_{index}" for index in range(NUM_DROPS))
 NEAR = 0.10  # m, bottle to bowl seen from above
 POURED = 0.75  # of the drops
@@ -39,7 +40,8 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_vessel(spec, "bottle", BOTTLE_POSITION, BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL, BOTTLE_MASS, glass)
     add_vessel(spec, "bowl", BOWL_POSITION, BOWL_RADIUS, BOWL_HEIGHT, BOWL_WALL, BOWL_MASS, clay)
     for name in ("table_top", "bottle", "bowl"):
-        spec.geom(name).solimp[:3] = UNYIELDING
+        spec.geom(name).solref, spec.geom(name).solimp[:3] = SHORT, UNYIELDING
+    spec.geom("table_top").priority = 1  # grippers have it too: against them, its own hardness counts
     bottom = BOTTLE_POSITION[2] - BOTTLE_HEIGHT / 2 + BOTTLE_WALL + DROP_RADIUS
     ring = 1.02 * DROP_RADIUS / math.sin(math.pi / 3)  # three drops a layer
     for index, name in enumerate(DROPS):
@@ -49,7 +51,7 @@ def _build(spec: mujoco.MjSpec) -> None:
         drop.add_freejoint(name=name)
         geom = add_shape(drop, name, "sphere", [DROP_RADIUS], rgba=(0, 0, 0, 0), mass=DROP_MASS)
         add_picture(drop, "sphere", [1.2 * DROP_RADIUS], rgba=(0.10, 0.45, 0.95, 1.0))  # they flow together
-        geom.contype, geom.conaffinity = LIQUID_BIT | WORLD_BIT, LIQUID_BIT
+        geom.contype, geom.conaffinity, geom.solimp[:3] = LIQUID_BIT | WORLD_BIT, LIQUID_BIT, UNYIELDING
         geom.condim, geom.priority = 1, 2  # water does not stick: no friction, at a third of the cost of a little
 
 
