@@ -26,7 +26,9 @@ from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import STEP_DT, Simulation
 from gym_demohlm.task import Task, all_tasks, get_task
+from lerobot_demohlm import results
 from lerobot_demohlm.demonstration import Demonstration, load
+from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.overlaps import Overlap, WatchedSimulation
 
@@ -316,6 +318,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--time-limit-s", type=float, help="of worlds (default: the task's own time limit)")
     parser.add_argument("--seed", type=int, default=defaults.seed, help="of starts and commands (default: %(default)s)")
+    parser.add_argument("--results", type=Path, help="folder of JSON lines, to whose lint.jsonl one a task is added")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -340,6 +343,18 @@ def main(arguments: argparse.Namespace) -> int:
         found[task.name] = {check.name: check.number for check in checks}
         found[task.name]["CPU time"] = round(time.process_time() - began, 1)
         print(format_table(task.name, checks), end="\n\n", flush=True)
+        if arguments.results is not None:
+            line = {"task": task.name, **asdict(settings), "failed": failed[task.name], "found": found[task.name]}
+            line["stamp"] = stamp(task.name)
+            results.append(arguments.results / "lint.jsonl", _command(task, settings), line)
     ok = not any(failed.values())
     print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
     return 0 if ok else 1
+
+
+def _command(task: Task, settings: Settings) -> str:
+    """Return the call that makes a line of results."""
+    defaults = asdict(Settings())
+    changed = {name: value for name, value in asdict(settings).items() if value != defaults[name]}
+    options = [f"--{name.replace('_', '-')} {value}" for name, value in changed.items()]
+    return " ".join(["demohlm lint-task", task.name, *options])

@@ -315,9 +315,34 @@ def _fuzzing(lines: list[Line]) -> str:
     return "**Loaders under a fuzzer**\n\n" + _table(["inputs", "time", "broke a loader"], [row])
 
 
+_LINT = {
+    "success by random commands": "succeed",
+    "MuJoCo warning, NaN or speed": "warnings of MuJoCo, NaN",
+    "depth in these worlds": "lasting depth [mm]",
+    "depth at impacts in these worlds": "depth at impacts [mm]",
+    "replays: success": "replays that succeed",
+    "replays: MuJoCo warning, NaN or speed": "their warnings, NaN",
+    "replays: depth": "their depth [mm]",
+}
+
+
+def _lint(lines: list[Line]) -> str:
+    rows = []
+    for line in _latest(lines, "task"):
+        numbers = {name: f"{line['found'][name]:g}" for name in _LINT}
+        numbers["replays: success"] = f"{100 * line['found']['replays: success']:g} %"
+        verdict = ", ".join(line["failed"]) or "pass"
+        rows.append([line["task"], str(line["num_episodes"]), *numbers.values(), verdict, _made_at(line)])
+    header = ["task", "worlds, replays", *_LINT.values(), "checks", "commit"]
+    return "**Tasks under random commands**, and replays of their demonstration from other starts\n\n" + _table(
+        header, rows
+    )
+
+
 _SECTIONS = (
     ("generation.jsonl", _generation),
     ("generation.jsonl", regions_table),
+    ("lint.jsonl", _lint),
     ("generation_time.jsonl", _time),
     ("experiments.jsonl", experiments_tables),
     ("policies.jsonl", _policies),

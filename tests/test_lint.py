@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,7 +13,7 @@ from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.task import Predicate, Task, get_task
 from gym_demohlm.tasks.lift_box import BOX_SIZE
 from gym_demohlm.worlds import Worlds
-from lerobot_demohlm import cli
+from lerobot_demohlm import cli, results
 from lerobot_demohlm.demonstration import load
 from lerobot_demohlm.lint import MAX_IMPACT_DEPTH, Settings, format_table, lint
 from lerobot_demohlm.overlaps import WatchedSimulation
@@ -49,6 +50,15 @@ def test_the_command_ends_in_one_object(capsys: pytest.CaptureFixture[str]) -> N
     assert found["replays: success"] == 1.0 and 0.0 < found["replays: depth"] < 5.0 and found["CPU time"] > 0.0
     settings = {"num_resets": 3, "num_still": 1, "num_episodes": 2, "seed": 0, "time_limit_s": 2.0}
     assert summary == {"ok": True, "failed": {"PressCube": []}, **settings}
+
+
+def test_a_line_of_results_becomes_a_row_of_the_readme(tmp_path: Path) -> None:
+    options = f"--num-resets 3 --num-still 1 --num-episodes 1 --time-limit-s 2 --results {tmp_path}"
+    cli.main(["lint-task", "PressCube", *options.split()])
+    (line,) = results.read(tmp_path / "lint.jsonl")
+    assert line["task"] == "PressCube" and line["failed"] == [] and line["found"]["replays: success"] == 1.0
+    (row,) = [text for text in results.tables(tmp_path).splitlines() if text.startswith("| PressCube")]
+    assert row.split("|")[2:4] == [" 1 ", " 0 "] and " pass " in row
 
 
 def test_success_at_the_reset_is_caught() -> None:
