@@ -144,6 +144,10 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert rows[2] == "| task | 100: MLP | paper 100 | 1000: MLP | 1000: ACT | paper 1000 | paper 5000 |"
     lift = next(row for row in rows if row.startswith("| LiftBox"))
     assert "44.0 (" in lift and ", 2 seeds | 86.4 | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | 98.6 | 98.8 |" in lift
+    assert not any("earlier" in row for row in rows)
+    assert "| PressCube, an earlier version |" in tables.main_table(
+        [make_line(dataclasses.replace(CELL, task="PressCube"), stamp="old")]
+    )
     table = tables.architectures_table(lines)
     assert "| GraspCube | 1000 | cpu | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | - | 81.3 | 87.9 | 90.2 |" in table
     assert tables.architectures_table(lines[:3]) == ""

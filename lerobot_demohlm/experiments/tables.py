@@ -8,7 +8,7 @@ import numpy as np
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.experiments import paper
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, PLAIN, REGIONS, VARIANTS
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, PLAIN, REGIONS, VARIANTS, stamp
 from lerobot_demohlm.presets import POLICIES
 
 RESAMPLES = 10_000
@@ -87,13 +87,14 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def main_table(lines: Iterable[Line]) -> str:
     """Return success by the number of training episodes, one row a task; the paper's is ACT."""
-    cells = group(latest(lines, DEFAULT_VARIANT), "task", "num_train_episodes", "policy", "preset")
+    current = latest(lines, DEFAULT_VARIANT)
+    cells = group(current, "task", "num_train_episodes", "policy", "preset")
     if not cells:
         return ""
-    tasks = dict.fromkeys(task for task, *_ in cells)
+    tasks = {line["task"]: _label(line) for line in sorted(current, key=lambda line: line["task"])}
     sizes = sorted({size for _, size, *_ in cells})
     methods = {size: _methods(cells, size) for size in sizes}
-    header, rows = ["task"], {task: [task] for task in tasks}
+    header, rows = ["task"], {task: [label] for task, label in tasks.items()}
     for size in sizes:
         header += [f"{size}: {_title(*method)}" for method in methods[size]] + [f"paper {size}"]
         for task in tasks:
@@ -191,6 +192,11 @@ def experiments_tables(lines: list[Line]) -> str:
     """Return every table that lines of ``experiments.jsonl`` fill."""
     parts = [main_table(line for line in lines if line["region"] == DEFAULT_REGION), architectures_table(lines)]
     return "\n\n".join(part for part in (*parts, variants_table(lines), cost_table(lines)) if part)
+
+
+def _label(line: Line) -> str:
+    """Return the name of a line's task, and whether what its data is made by has changed since."""
+    return line["task"] if line["stamp"] == stamp(line["task"]) else f"{line['task']}, an earlier version"
 
 
 def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:
