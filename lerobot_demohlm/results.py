@@ -7,15 +7,14 @@ import argparse
 import json
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.evaluation import read_records, wilson
 from lerobot_demohlm.experiments.paper import GENERATION
-from lerobot_demohlm.experiments.plan import stamp
-from lerobot_demohlm.experiments.tables import experiments_tables, regions_table
+from lerobot_demohlm.experiments.tables import age, experiments_tables, markdown, regions_table
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 Line = dict[str, Any]
@@ -68,11 +67,6 @@ def _percent(successes: int, trials: int) -> str:
     return f"{100 * successes / trials:.1f} ({100 * low:.1f} to {100 * high:.1f})"
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
 def _latest(lines: list[Line], *keys: str) -> list[Line]:
     """Keep the last line of each combination of keys, in the order of the keys' values."""
     kept = {tuple(str(line.get(key)) for key in keys): line for line in lines}
@@ -80,11 +74,6 @@ def _latest(lines: list[Line], *keys: str) -> list[Line]:
 
 
 PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, its architectures table
-
-
-def _made_at(line: Line) -> str:
-    """Return the commit of a line, and whether what its data is made by has changed since."""
-    return line["commit"] if line.get("stamp") == stamp(line["task"]) else f"{line['commit']}, an earlier version"
 
 
 def _generation(lines: list[Line]) -> str:
@@ -112,12 +101,12 @@ def _generation(lines: list[Line]) -> str:
                 f"{paper}" if paper else "-",
                 failed or "none",
                 f"{line['episode_s']:.1f}" if line.get("episode_s") else "-",
-                _made_at(line),
+                line["commit"] + age(line),
             ]
         )
     header = ["task", "region", "attempts", "success % (95 % interval)", "paper %"]
     header += ["failures", "s an episode", "commit"]
-    return "**Generation**, every attempt counted\n\n" + _table(header, rows)
+    return "**Generation**, every attempt counted\n\n" + markdown(header, rows)
 
 
 def _policies(lines: list[Line]) -> str:
@@ -126,12 +115,11 @@ def _policies(lines: list[Line]) -> str:
         paper = PAPER_POLICY.get((line["task"], line["policy"]), "-")
         rate = _percent(line["successes"], line["episodes"])
         size = f"{line['num_train_episodes']} episodes"
-        rows.append(
-            [line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, _made_at(line)]
-        )
+        made_at = line["commit"] + age(line)
+        rows.append([line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, made_at])
     header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %", "commit"]
     title = "**Policies**, last checkpoint, starts never used in generation, success held for 1 s"
-    return f"{title}\n\n" + _table(header, rows)
+    return f"{title}\n\n" + markdown(header, rows)
 
 
 def from_rollouts(path: Path) -> Line:
@@ -201,14 +189,14 @@ def _controller(lines: list[Line]) -> str:
             note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, {hands}."
         if line.get("peer"):
             note += f" {line['peer']}: {line['peer_file']}, {line['num_worlds']} robots, velocity commands only."
-    return "**Whole-body controller**\n\n" + _table(["", *columns, "best published"], rows) + note
+    return "**Whole-body controller**\n\n" + markdown(["", *columns, "best published"], rows) + note
 
 
 def _robustness(lines: list[Line]) -> str:
     latest = lines[-1]
     rows = [[text, f"{100 * latest[f'survival/{name}']:.1f} %"] for name, text in _DISTURBANCES.items()]
     header = ["disturbance", f"no fall in {latest['seconds']:.0f} s ({latest['num_worlds']} robots each, empty hands)"]
-    return "**Whole-body controller outside its training**\n\n" + _table(header, rows)
+    return "**Whole-body controller outside its training**\n\n" + markdown(header, rows)
 
 
 _SHARES = {
@@ -234,7 +222,7 @@ def _time(lines: list[Line]) -> str:
     ]
     header = ["task", "region", "succeeded", "CPU time an episode", "simulated"]
     header += [f"in {of}" for of in _SHARES.values()]
-    return "**Time to generate**, and where it goes\n\n" + _table(header, rows)
+    return "**Time to generate**, and where it goes\n\n" + markdown(header, rows)
 
 
 def _rate(ours: str, theirs: str, ratio: str) -> Callable[[Line], tuple[str, str, str]]:
@@ -282,7 +270,7 @@ def _speed(lines: list[Line]) -> str:
         if name in latest:
             ours, theirs, ratio = pick(latest[name])
             rows.append([what, ours, f"{theirs} ({beside})", ratio])
-    return "**Speed**, both measured by turns in one run\n\n" + _table(["", "ours", "beside", "ratio"], rows)
+    return "**Speed**, both measured by turns in one run\n\n" + markdown(["", "ours", "beside", "ratio"], rows)
 
 
 def _workers(lines: list[Line]) -> str:
@@ -297,7 +285,7 @@ def _workers(lines: list[Line]) -> str:
     ]
     what = f"{latest['attempts']} attempts at {latest['task']} in {latest['region']}, {latest['files']} files"
     header = ["workers", "attempts an hour", "every file as with one worker"]
-    return f"**The same data whatever the workers**: {what}\n\n" + _table(header, rows)
+    return f"**The same data whatever the workers**: {what}\n\n" + markdown(header, rows)
 
 
 def _faults(lines: list[Line]) -> str:
@@ -306,13 +294,13 @@ def _faults(lines: list[Line]) -> str:
         for entry in lines[-1]["faults"]
     ]
     title = "**Faults** during generation; survived is what in the end made, byte for byte, the dataset of a calm run"
-    return f"{title}\n\n" + _table(["fault", "tried", "survived", "lost"], rows)
+    return f"{title}\n\n" + markdown(["fault", "tried", "survived", "lost"], rows)
 
 
 def _fuzzing(lines: list[Line]) -> str:
     latest = lines[-1]
     row = [f"{latest['executions']:,}", f"{latest['seconds']} s", "one" if latest["broke"] else "none"]
-    return "**Loaders under a fuzzer**\n\n" + _table(["inputs", "time", "broke a loader"], [row])
+    return "**Loaders under a fuzzer**\n\n" + markdown(["inputs", "time", "broke a loader"], [row])
 
 
 _LINT = {
@@ -332,11 +320,11 @@ def _lint(lines: list[Line]) -> str:
         numbers = {name: f"{line['found'][name]:g}" for name in _LINT}
         numbers["replays: success"] = f"{100 * line['found']['replays: success']:g} %"
         verdict = ", ".join(line["failed"]) or "pass"
-        rows.append([line["task"], str(line["num_episodes"]), *numbers.values(), verdict, _made_at(line)])
+        made_at = line["commit"] + age(line)
+        rows.append([line["task"], str(line["num_episodes"]), *numbers.values(), verdict, made_at])
     header = ["task", "worlds, replays", *_LINT.values(), "checks", "commit"]
-    return "**Tasks under random commands**, and replays of their demonstration from other starts\n\n" + _table(
-        header, rows
-    )
+    title = "**Tasks under random commands**, and replays of their demonstrations from other starts"
+    return f"{title}\n\n" + markdown(header, rows)
 
 
 _SECTIONS = (

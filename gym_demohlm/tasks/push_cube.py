@@ -30,7 +30,7 @@ PUSHING_N = 0.5  # least force of a palm that pushes
 STRUCK = 0.035  # m in a step; what is faster is struck, not pushed
 FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
 FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
-DROPPED, OVER_RIM = dropped("cube", 0.05), dropped("cube", 0.01)
+DROPPED, OVER_RIM = dropped("cube", 0.05), dropped("cube", 0.01)  # m below its start
 
 
 def _build(spec: mujoco.MjSpec) -> None:

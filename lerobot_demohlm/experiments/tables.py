@@ -57,6 +57,11 @@ def latest(lines: Iterable[Line], variant: str | None = None) -> list[Line]:
     return list({tuple(line[key] for key in keys): line for line in current}.values())
 
 
+def age(line: Line) -> str:
+    """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
+    return "" if line.get("stamp") == stamp(line["task"]) else ", an earlier version"
+
+
 def group(lines: Iterable[Line], *keys: str) -> dict[tuple[Any, ...], list[Line]]:
     """Collect lines that agree in some keys, sorted by them."""
     groups: dict[tuple[Any, ...], list[Line]] = {}
@@ -91,7 +96,7 @@ def main_table(lines: Iterable[Line]) -> str:
     cells = group(current, "task", "num_train_episodes", "policy", "preset")
     if not cells:
         return ""
-    tasks = {line["task"]: _label(line) for line in sorted(current, key=lambda line: line["task"])}
+    tasks = _labels(current)
     sizes = sorted({size for _, size, *_ in cells})
     methods = {size: _methods(cells, size) for size in sizes}
     header, rows = ["task"], {task: [label] for task, label in tasks.items()}
@@ -112,13 +117,16 @@ def main_table(lines: Iterable[Line]) -> str:
 
 def architectures_table(lines: Iterable[Line]) -> str:
     """Return success by policy, for tasks and sizes with more than one of them."""
-    cells = group(latest(lines, DEFAULT_VARIANT), "task", "num_train_episodes", "preset", "policy")
+    current = latest(lines, DEFAULT_VARIANT)
+    cells, tasks = group(current, "task", "num_train_episodes", "preset", "policy"), _labels(current)
     rows = []
     for task, size, preset in dict.fromkeys(key[:3] for key in cells):
         ours = [cells.get((task, size, preset, policy)) for policy in POLICIES]
         if sum(found is not None for found in ours) > 1:
             theirs = paper.SUCCESS_BY_ARCHITECTURE.get(task, {})
-            rows.append([task, str(size), preset, *map(percent, ours), *(number(theirs.get(p)) for p in POLICIES)])
+            rows.append(
+                [tasks[task], str(size), preset, *map(percent, ours), *(number(theirs.get(p)) for p in POLICIES)]
+            )
     if not rows:
         return ""
     names = [TITLES[policy] for policy in POLICIES]
@@ -153,6 +161,7 @@ def variants_table(lines: Iterable[Line]) -> str:
     """Return success by the way the training data was generated, for what was trained on more than one."""
     lines = latest(lines)
     cells = group(lines, "task", "policy", "preset", "num_train_episodes", "region", "variant")
+    tasks = _labels(lines)
     names = [name for name in VARIANTS if any(line["variant"] == name for line in lines)]
     rows = []
     for key in dict.fromkeys(key[:-1] for key in cells):
@@ -161,7 +170,7 @@ def variants_table(lines: Iterable[Line]) -> str:
             task, policy, preset, size, region = key
             shares = [found[0].get("data_success_rate") if found else None for found in ours]
             generated = [number(None if share is None else 100 * share) for share in shares]
-            rows.append([task, region, _title(policy, preset), str(size), *map(percent, ours), *generated])
+            rows.append([tasks[task], region, _title(policy, preset), str(size), *map(percent, ours), *generated])
     if not rows:
         return ""
     header = ["task", "region", "policy", "episodes", *names, *(f"generation: {name}" for name in names)]
@@ -194,9 +203,9 @@ def experiments_tables(lines: list[Line]) -> str:
     return "\n\n".join(part for part in (*parts, variants_table(lines), cost_table(lines)) if part)
 
 
-def _label(line: Line) -> str:
-    """Return the name of a line's task, and whether what its data is made by has changed since."""
-    return line["task"] if line["stamp"] == stamp(line["task"]) else f"{line['task']}, an earlier version"
+def _labels(lines: Iterable[Line]) -> dict[str, str]:
+    """Return the tasks of lines, sorted, and what a table calls each."""
+    return {line["task"]: line["task"] + age(line) for line in sorted(lines, key=lambda line: line["task"])}
 
 
 def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:
