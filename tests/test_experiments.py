@@ -4,6 +4,7 @@ import dataclasses
 import json
 import time
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,25 @@ def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest
     assert cli.main([*words, *folders, "--budget-hours", "0"]) == 2
     assert cli.main([*words, *folders, "--budget-hours", "1e-9"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["missing"] == 2
+
+
+def run_beside(cell: Cell, folder: Path, seconds: float) -> dict[str, Any]:
+    """Stand in for what runs a cell, and wait so long for another beside it."""
+    (folder / f"seed{cell.train_seed}").touch()
+    end = time.monotonic() + seconds
+    while (began := len(list(folder.glob("seed*")))) < 2 and time.monotonic() < end:
+        time.sleep(0.01)
+    return make_line(cell, began=began)
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_one_cell_makes_the_data_of_both(tmp_path: Path, made: bool) -> None:
+    own, cells = layout(tmp_path), plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0, 1], policies=["mlp"])
+    if made:
+        own.dataset("LiftBox", "R3", 1000).mkdir(parents=True)
+    run: Any = partial(run_beside, folder=tmp_path, seconds=60.0 if made else 2.0)
+    assert reproduce(cells, own, run, num_workers=2) == (2, [])
+    assert [line["began"] for line in results.read(own.policies_file)] == [2 if made else 1, 2]
 
 
 def test_rates() -> None:

@@ -1,7 +1,7 @@
 """``demohlm reproduce --table main`` -> the lines of that table in ``results/``: what is missing is run, no more.
 
 A cell whose line is there is done, one that was stopped goes on, and a policy's score is always its last checkpoint's.
-Cells of different tasks run side by side, a process each, so that a training has a core to itself.
+Cells run side by side, a process each, so that a training has a core to itself; what two of them train on, one makes.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def reproduce(
         cells: The most wanted first.
         layout: Where everything is.
         run: What runs a cell, None where its time was up; importable, as it is called in other processes.
-        num_workers: Cells at a time, of different tasks.
+        num_workers: Cells at a time; one waits while another makes the data that both need.
         deadline: Begin no cell after this time (``time.monotonic``) [s].
         command: What the lines say that they come from.
 
@@ -64,7 +64,7 @@ def reproduce(
             for cell in list(waiting):
                 if len(working) >= num_workers or time.monotonic() >= deadline:
                     break
-                if cell.task not in {other.task for other in working.values()}:
+                if not any(_makes_data_of(other, cell, layout) for other in working.values()):
                     waiting.remove(cell)
                     working[pool.submit(run, cell)] = cell
                     print(f"begun: {_describe(cell)}, {len(waiting)} after it", file=sys.stderr, flush=True)
@@ -90,6 +90,15 @@ def _start_worker(modules: Sequence[str]) -> None:
     end_with_parent()
     for module in modules:
         importlib.import_module(module)
+
+
+def _makes_data_of(other: Cell | RegionCell, cell: Cell | RegionCell, layout: Layout) -> bool:
+    """Tell whether another cell may be making the data that a cell needs."""
+    if not (isinstance(other, Cell) and isinstance(cell, Cell)):
+        return False
+    if (other.task, other.region, other.variant) != (cell.task, cell.region, cell.variant):
+        return False
+    return not layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant).exists()
 
 
 def _describe(cell: Cell | RegionCell) -> str:
