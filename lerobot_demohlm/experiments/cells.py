@@ -14,7 +14,7 @@ import torch
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.dataset import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation import FIRST_SEED, evaluate
-from lerobot_demohlm.experiments.plan import VARIANTS, Cell, Layout, RegionCell, stamp
+from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.presets import get_preset
 from lerobot_demohlm.rollouts import Setting, load_policy
@@ -72,7 +72,7 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None
             return None
         root = layout.generation(cell, count)
         shutil.rmtree(root, ignore_errors=True)  # a dataset whose line was never written
-        generate(replace(_request(cell, root, effort), num_attempts=count))
+        generate(replace(_request(cell, root, effort), num_attempts=count, **VARIANTS[PLAIN]))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
     return {

@@ -20,7 +20,7 @@ from gym_demohlm.task import get_task
 from lerobot_demohlm import provenance, results
 from lerobot_demohlm.evaluation import read_records
 from lerobot_demohlm.experiments import plots
-from lerobot_demohlm.experiments.plan import PLAIN, Cell, Layout
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
 from lerobot_demohlm.experiments.tables import TITLES, latest
 from lerobot_demohlm.training import checkpoint
 
@@ -91,7 +91,7 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
 
 
 def _title(cell: Cell) -> str:
-    data = "" if cell.variant == PLAIN else f"{cell.variant}, "
+    data = "" if cell.variant == DEFAULT_VARIANT else f"{cell.variant}, "
     return f"{cell.task}: {TITLES[cell.policy]}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
 
 

@@ -27,6 +27,7 @@ from lerobot_demohlm import provenance
 from lerobot_demohlm.dataset import GenerationFacts, installed_versions
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.command_noise import DEFAULT_SCALE
 from lerobot_demohlm.generation.stages import CHOICES, chosen_settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.generation_block import write_block
@@ -57,7 +58,8 @@ class GenerationRequest:
         keep_failures: Write failed attempts to a second dataset beside it.
         block_size: Attempts a block.
         retries: How often an attempt may begin again after a stage that failed.
-        command_noise: Scale of the noise that commands carry when they are executed; recorded are those without.
+        command_noise: Scale of the noise that commands carry when they are executed; recorded are those without. What
+            policies learn best from, unless 0.
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
         stance_spread: Scale of how far the place is off from which the robot acts on the object.
         show_progress: Draw a progress bar on stderr.
@@ -77,7 +79,7 @@ class GenerationRequest:
     keep_failures: bool = False
     block_size: int = BLOCK_SIZE
     retries: int = 0
-    command_noise: float = 0.0
+    command_noise: float = DEFAULT_SCALE
     start_spread: float = 1.0
     stance_spread: float = 0.0
     show_progress: bool = True
@@ -332,9 +334,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--command-noise",
         type=float,
-        default=0.0,
+        default=DEFAULT_SCALE,
         metavar="SCALE",
-        help="execute commands with noise and record them without; 1 is 0.05 m/s, 0.025 rad (default: %(default)s)",
+        help="execute commands with noise, record them without; 1 is 0.05 m/s, 0.025 rad (default: %(default)s)",
     )
     parser.add_argument(
         "--start-spread",
