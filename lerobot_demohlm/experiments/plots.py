@@ -15,7 +15,7 @@ from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
 from lerobot_demohlm.experiments.tables import TITLES, by_region, group, latest, rate
 from lerobot_demohlm.presets import POLICIES
 
-WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 260, 170, 34, 24, 26  # of one panel and of its margins [px]
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 170, 34, 16, 24, 26  # of one panel and of its margins [px]
 COLOURS = {"mlp": "#2f6f4f", "act": "#2b5f9e", "diffusion": "#8a5aa8", "paper": "#9aa2ab", "generation": "#2f6f4f"}
 Line = dict[str, Any]
 
@@ -51,7 +51,7 @@ class Panel:
 
     def svg(self) -> str:
         """Return the panel as SVG elements with the origin at its upper left corner."""
-        across, down = WIDTH - LEFT - 8, HEIGHT - TOP - BOTTOM
+        across, down = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
         def place(x: float, y: float) -> tuple[float, float]:
             return LEFT + x * across, TOP + (1 - y) * down
