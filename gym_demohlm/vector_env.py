@@ -69,7 +69,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
-        self._ended = np.zeros(num_envs, dtype=bool)
+        self._ended = np.ones(num_envs, dtype=bool)  # none has begun
 
     @property
     def sim(self) -> Simulation:
@@ -121,7 +121,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         observation = self._episodes.observe()
         going = np.ones(self.num_envs, dtype=bool)
         infos: dict[str, Any] = {}
-        self._ended = terminated | truncated
+        self._ended |= terminated | truncated
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
             worlds = np.flatnonzero(self._ended)
             going = ~self._ended

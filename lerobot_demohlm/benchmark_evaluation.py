@@ -98,6 +98,8 @@ def measure(
         "policy": loaded.kind,
         "mean_length_s": round(float(np.mean([record["length_s"] for record in records])), 1),
         "num_workers": setting.num_workers,
+        "num_worlds": setting.num_worlds,
+        "lerobot_worlds": lerobot_batch_size or "as many as it chooses",
         "lerobot_rollouts_per_hour": round(3600 * num_lerobot_episodes / theirs_s, 1),
         "rollouts_per_hour": round(3600 * num_episodes / ours_s, 1),
         "ratio": round(num_episodes / ours_s / (num_lerobot_episodes / theirs_s), 2),

@@ -1,7 +1,7 @@
 """The name of a policy and of a preset -> LeRobot's training configuration: the paper's hyperparameters, or a CPU's.
 
 ``paper`` is the paper's appendix. What it does not say, or what LeRobot's policies cannot do, is marked at its place.
-``cpu`` is smaller: a task trains in a quarter of an hour on two cores. All of a preset is here and nowhere else.
+``cpu`` is smaller: a task trains in less than a quarter of an hour on a core. All of a preset is here and nowhere else.
 """
 
 from collections.abc import Mapping

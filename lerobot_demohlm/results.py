@@ -6,15 +6,13 @@ A line says what was measured, by which command, at which commit. Tables are mad
 import argparse
 import json
 import subprocess
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.evaluation import read_records, wilson
 from lerobot_demohlm.experiments.paper import GENERATION
-from lerobot_demohlm.experiments.tables import age, experiments_tables, markdown, regions_table
+from lerobot_demohlm.experiments.tables import age, experiments_tables, markdown, regions_table, share
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 Line = dict[str, Any]
@@ -62,18 +60,10 @@ def read(path: Path) -> list[Line]:
     return lines
 
 
-def _percent(successes: int, trials: int) -> str:
-    low, high = wilson(successes, trials)
-    return f"{100 * successes / trials:.1f} ({100 * low:.1f} to {100 * high:.1f})"
-
-
 def _latest(lines: list[Line], *keys: str) -> list[Line]:
     """Keep the last line of each combination of keys, in the order of the keys' values."""
     kept = {tuple(str(line.get(key)) for key in keys): line for line in lines}
     return [kept[key] for key in sorted(kept)]
-
-
-PAPER_POLICY = {("LiftBox", "chunked_mlp"): "85.6 (R3, 5000 episodes)"}  # %, its architectures table
 
 
 def _generation(lines: list[Line]) -> str:
@@ -82,7 +72,7 @@ def _generation(lines: list[Line]) -> str:
     for line in _latest([{**plain, **line} for line in lines], "task", "region", *plain):
         failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
         paper = GENERATION.get((line["task"], line["region"]))
-        rate = _percent(line["successes"], line["attempts"])
+        rate = share(line["successes"], line["attempts"])
         if line["retries"]:
             first = f"{100 * line['first_try_successes'] / line['attempts']:.1f}"
             rate += f", with up to {line['retries']} retries; {first} at the first try"
@@ -107,37 +97,6 @@ def _generation(lines: list[Line]) -> str:
     header = ["task", "region", "attempts", "success % (95 % interval)", "paper %"]
     header += ["failures", "s an episode", "commit"]
     return "**Generation**, every attempt counted\n\n" + markdown(header, rows)
-
-
-def _policies(lines: list[Line]) -> str:
-    rows = []
-    for line in _latest(lines, "task", "policy", "num_train_episodes", "region"):
-        paper = PAPER_POLICY.get((line["task"], line["policy"]), "-")
-        rate = _percent(line["successes"], line["episodes"])
-        size = f"{line['num_train_episodes']} episodes"
-        made_at = line["commit"] + age(line)
-        rows.append([line["task"], line["policy"], size, line["region"], str(line["episodes"]), rate, paper, made_at])
-    header = ["task", "policy", "trained on", "region", "rollouts", "success % (95 % interval)", "paper %", "commit"]
-    title = "**Policies**, last checkpoint, starts never used in generation, success held for 1 s"
-    return f"{title}\n\n" + markdown(header, rows)
-
-
-def from_rollouts(path: Path) -> Line:
-    """Count the rollouts of one policy, as ``demohlm evaluate`` wrote them, into one result."""
-    records = read_records(path)
-    first = records[0]
-    return {
-        "task": first["task"],
-        "policy": first["policy"],
-        "policy_hash": first["policy_hash"],
-        "num_train_episodes": first["num_train_episodes"],
-        "region": first["region"],
-        "seed": first["seed"],
-        "episodes": len(records),
-        "successes": sum(record["success_held"] for record in records),
-        "outcomes": dict(Counter(record["outcome"] for record in records)),
-        "rollouts": path.name,
-    }
 
 
 _CONTROLLER = (
@@ -256,21 +215,21 @@ _SPEED: dict[str, tuple[str, str, Callable[[Line], tuple[str, str, str]]]] = {
         _rate("memory_samples_per_s", "lerobot_samples_per_s", "ratio"),
     ),
     "evaluation": (
-        "rollouts an hour",
-        "`lerobot-eval`",
+        "rollouts an hour, {num_workers} processes of {num_worlds} worlds",
+        "`lerobot-eval`, {lerobot_worlds} at a time, its films drawn",
         _rate("rollouts_per_hour", "lerobot_rollouts_per_hour", "ratio"),
     ),
 }
 
 
 def _speed(lines: list[Line]) -> str:
-    latest = {line["benchmark"]: line for line in lines}
+    latest = {(line["benchmark"], line.get("lerobot_worlds")): line for line in lines}
     rows = []
-    for name, (what, beside, pick) in _SPEED.items():
-        if name in latest:
-            ours, theirs, ratio = pick(latest[name])
-            rows.append([what, ours, f"{theirs} ({beside})", ratio])
-    return "**Speed**, both measured by turns in one run\n\n" + markdown(["", "ours", "beside", "ratio"], rows)
+    for (name, _), line in sorted(latest.items(), key=lambda entry: list(_SPEED).index(entry[0][0])):
+        what, beside, pick = _SPEED[name]
+        ours, theirs, ratio = pick(line)
+        rows.append([what.format(**line), ours, f"{theirs} ({beside.format(**line)})", ratio])
+    return "**Speed**, both measured in one run\n\n" + markdown(["", "ours", "beside", "ratio"], rows)
 
 
 def _workers(lines: list[Line]) -> str:
@@ -333,7 +292,6 @@ _SECTIONS = (
     ("lint.jsonl", _lint),
     ("generation_time.jsonl", _time),
     ("experiments.jsonl", experiments_tables),
-    ("policies.jsonl", _policies),
     ("controller.jsonl", _controller),
     ("robustness.jsonl", _robustness),
     ("speed.jsonl", _speed),

@@ -72,12 +72,14 @@ def train(
 def run(config: "TrainPipelineConfig", num_threads: int = 1) -> None:
     """Run LeRobot's training on data held in memory."""
     import torch
+    from accelerate.state import AcceleratorState
     from lerobot.scripts.lerobot_train import train as lerobot_train
 
     from lerobot_demohlm import loading
 
     torch.set_num_threads(num_threads)
     loading.install()
+    AcceleratorState._reset_state(reset_partial_state=True)  # else a training has the precision of the one before it
     lerobot_train(config)  # type: ignore[call-arg]  # its decorator hides that a configuration may be given
 
 

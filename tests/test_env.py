@@ -193,6 +193,20 @@ def test_without_autoreset_a_finished_world_waits(monkeypatch: pytest.MonkeyPatc
     assert (before["agent_pos"][0] != after["agent_pos"][0]).any()
 
 
+@pytest.mark.parametrize("mode", [AutoresetMode.DISABLED, AutoresetMode.SAME_STEP])
+def test_a_world_that_was_never_begun_is_not_stepped(mode: AutoresetMode) -> None:
+    env = make_vector(2, autoreset_mode=mode)
+    if mode is AutoresetMode.SAME_STEP:
+        with pytest.raises(SceneError, match="call reset first"):
+            env.step(actions_for(0, 2))
+        return
+    seen = [env.reset(seed=[9, None], options={"reset_mask": np.array([True, False])})[0]]
+    seen += [env.step(actions_for(index, 2))[0] for index in range(3)]
+    states = np.stack([each["agent_pos"] for each in seen])
+    assert (states[1:, 1] == states[0, 1]).all()
+    assert (states[1:, 0] != states[0, 0]).any()
+
+
 def test_success_must_last() -> None:
     """The box is held up by hand: the reward starts at once, success and termination come after one second."""
     env = make()

@@ -152,6 +152,19 @@ def test_lerobot_train_is_the_same_training(
         assert all(torch.equal(theirs[key], value) for key, value in ours.items()), name
 
 
+@pytest.mark.usefixtures("small")
+def test_a_training_has_its_own_precision(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that of the one before it in the same process: accelerate remembers."""
+    from accelerate.state import AcceleratorState
+
+    monkeypatch.setattr(presets, "has_bfloat16", lambda: True)
+    found = []
+    for index, policy in enumerate(("mlp", "diffusion", "act", "diffusion", "mlp")):
+        training.train(tmp_path / str(index), root, policy)
+        found.append(AcceleratorState().mixed_precision)
+    assert found == ["bf16", "no", "bf16", "no", "bf16"]
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("policy", ["act", "diffusion"])

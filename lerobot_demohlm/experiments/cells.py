@@ -5,6 +5,8 @@ import math
 import shutil
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, Regi
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.presets import get_preset
 from lerobot_demohlm.rollouts import Setting, load_policy
+from lerobot_demohlm.run_lock import RunLock
 from lerobot_demohlm.training import checkpoint, train
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
@@ -31,17 +34,13 @@ class Effort:
     Attributes:
         num_rollouts: Rollouts of a policy.
         num_attempts: Attempts of generation in a region.
-        steps: Training steps; the preset's by default.
         device: Where policies are trained and act.
-        num_workers: Processes that generate and roll out.
         deadline: Begin nothing after this time (``time.monotonic``) [s].
     """
 
     num_rollouts: int = 250
     num_attempts: int = 500
-    steps: int | None = None
     device: str = "cpu"
-    num_workers: int = 1
     deadline: float = math.inf
 
     @property
@@ -57,22 +56,41 @@ def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> Line | 
         cell: Which.
         layout: Where everything is.
         effort: How much.
+
+    Raises:
+        DatasetError: Another process is at work on this cell, in this root.
     """
     torch.set_num_threads(1)  # other cells have the other cores
-    return _run_region(cell, layout, effort) if isinstance(cell, RegionCell) else _run_policy(cell, layout, effort)
+    if isinstance(cell, RegionCell):
+        with _alone(layout.generation(cell, effort.num_attempts)):
+            return _run_region(cell, layout, effort)
+    with _alone(layout.training(cell)):
+        return _run_policy(cell, layout, effort)
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Lock a directory from beside it: a second process would delete what the first makes there."""
+    beside = directory.with_name(f"{directory.name}.lock")
+    beside.mkdir(parents=True, exist_ok=True)
+    lock = RunLock(beside)
+    try:
+        yield
+    finally:
+        shutil.rmtree(beside)
+        lock.release()
 
 
 def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None:
     """Return the line of the first attempts in a region: those of a dataset that was made to train on, or new ones."""
     count = effort.num_attempts
-    held = (read_attempts(path) for path in layout.datasets(cell.task, cell.region))
-    records = next((found for found in held if len(found) >= count), None)
+    root = layout.generation(cell, count)
+    made = [*([root] if root.exists() else []), *layout.datasets(cell.task, cell.region)]
+    records = next((found for path in made if len(found := read_attempts(path)) >= count), None)
     if records is None:
         if effort.is_over:
             return None
-        root = layout.generation(cell, count)
-        shutil.rmtree(root, ignore_errors=True)  # a dataset whose line was never written
-        generate(replace(_request(cell, root, effort), num_attempts=count, **VARIANTS[PLAIN]))
+        generate(replace(_request(cell, root), num_attempts=count, **VARIANTS[PLAIN]))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
     return {
@@ -84,14 +102,13 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None
     }
 
 
-def _request(cell: Cell | RegionCell, root: Path, effort: Effort) -> GenerationRequest:
+def _request(cell: Cell | RegionCell, root: Path) -> GenerationRequest:
     """Return the request for a cell's dataset, without its size; a larger one begins with the same attempts."""
     return GenerationRequest(
         task=cell.task,
         region=cell.region,
         seed=DATA_SEED,
         root=root,
-        num_workers=effort.num_workers,
         show_progress=False,
     )
 
@@ -102,7 +119,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
         if effort.is_over:
             return None
         options = {"num_episodes": cell.num_train_episodes, **VARIANTS[cell.variant]}
-        generate(replace(_request(cell, dataset, effort), **options))
+        generate(replace(_request(cell, dataset), **options))
     training = layout.training(cell)
     if not _times_file(training).exists():
         if effort.is_over:
@@ -112,7 +129,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
     before = len(output.read_text().splitlines()) if output.exists() else 0
     records = evaluate(
         load_policy(checkpoint(training), cell.task, effort.device),
-        Setting(task=cell.task, region=cell.region, num_workers=effort.num_workers),
+        Setting(task=cell.task, region=cell.region),
         range(FIRST_SEED, FIRST_SEED + effort.num_rollouts),
         output,
         deadline=effort.deadline,
@@ -122,6 +139,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
         return None
     return {
         **asdict(cell),
+        "recipe": cell.recipe,
         "stamp": stamp(cell.task),
         "policy_type": records[0]["policy"],
         "policy_hash": records[0]["policy_hash"],
@@ -152,7 +170,7 @@ def _train(cell: Cell, dataset: Path, training: Path, effort: Effort) -> None:
         dataset,
         cell.policy,
         cell.preset,
-        steps=effort.steps,
+        steps=cell.steps,
         seed=cell.train_seed,
         num_episodes=cell.num_train_episodes,
         device=effort.device,
@@ -160,7 +178,7 @@ def _train(cell: Cell, dataset: Path, training: Path, effort: Effort) -> None:
     elapsed = time.monotonic() - began
     if not path.is_dir():
         raise DatasetError(f"no checkpoint at {path}", "what LeRobot's training writes", "look at its messages")
-    samples = (effort.steps or preset.steps) * preset.batch_size
+    samples = cell.steps * preset.batch_size
     times = {"train_s": round(elapsed, 1), "train_samples_per_s": round(samples / elapsed)}
     temporary = _times_file(training).with_suffix(".tmp")
     temporary.write_text(json.dumps(times) + "\n")

@@ -21,7 +21,7 @@ from lerobot_demohlm import provenance, results
 from lerobot_demohlm.evaluation import read_records
 from lerobot_demohlm.experiments import plots
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
-from lerobot_demohlm.experiments.tables import TITLES, latest
+from lerobot_demohlm.experiments.tables import latest, method_title
 from lerobot_demohlm.training import checkpoint
 
 VIDEO_WIDTH = 320  # px
@@ -75,7 +75,7 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
     shown = []
     for line in latest(results.read(layout.policies_file)):
         cell = Cell(**{name: line[name] for name in Cell.__dataclass_fields__})
-        if not cell.is_of(line) or not layout.rollouts(cell).is_file():
+        if not (cell.is_of(line) and layout.rollouts(cell).is_file() and checkpoint(layout.training(cell)).is_dir()):
             continue
         records = read_records(layout.rollouts(cell))
         failed = [record for record in records if not record["success_held"]]
@@ -84,7 +84,7 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
                 title=_title(cell),
                 line=line,
                 heat_map=plots.failure_map(records),
-                videos=[_film(cell, layout, record) for record in _different(failed, num_videos)],
+                videos=[film for record in _different(failed, num_videos) for film in _films(cell, layout, record)],
             )
         )
     return shown
@@ -92,7 +92,8 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
 
 def _title(cell: Cell) -> str:
     data = "" if cell.variant == DEFAULT_VARIANT else f"{cell.variant}, "
-    return f"{cell.task}: {TITLES[cell.policy]}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
+    policy = method_title(cell.policy, cell.preset)
+    return f"{cell.task}: {policy}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
 
 
 def _different(failed: Sequence[Mapping[str, Any]], count: int) -> list[Mapping[str, Any]]:
@@ -104,16 +105,21 @@ def _different(failed: Sequence[Mapping[str, Any]], count: int) -> list[Mapping[
     return [record for _, record in sorted(ranked, key=lambda entry: entry[0])][:count]
 
 
-def _film(cell: Cell, layout: Layout, record: Mapping[str, Any]) -> tuple[str, str]:
-    """Roll a failure out again and return its video as base64, and its caption."""
+def _films(cell: Cell, layout: Layout, record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Roll a failure out again and return its video as base64, and its caption.
+
+    None where it ends otherwise now: that of a policy which draws random numbers, or acted on a GPU.
+    """
     from lerobot_demohlm.gallery import policy_take, write_take
 
     task = get_task(cell.task)
     take = policy_take(task, cell.region, record["seed"], checkpoint(layout.training(cell)))
+    if take.outcome != record["outcome"]:
+        return []
     with tempfile.TemporaryDirectory() as scratch:
         write_take(take, Path(scratch), width=VIDEO_WIDTH)
         video = (Path(scratch) / f"{provenance.file_name(task)}_overview.mp4").read_bytes()
-    return base64.b64encode(video).decode(), take.caption
+    return [(base64.b64encode(video).decode(), take.caption)]
 
 
 def html_tables(text: str) -> Markup:

@@ -12,7 +12,8 @@ from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.task import DEFAULT_REGION, all_tasks, get_task
 from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm import provenance
-from lerobot_demohlm.generation.stages import Settings
+from lerobot_demohlm.generation import command_noise
+from lerobot_demohlm.generation.stages import STANCE_RANGES, Settings
 from lerobot_demohlm.presets import POLICIES, get_preset
 from lerobot_demohlm.segmentation import segment
 
@@ -44,6 +45,7 @@ class Cell:
         preset: "cpu" or "paper".
         num_train_episodes: Episodes it is trained on, the first of its task's dataset.
         train_seed: Of weights and order of samples.
+        steps: Training steps.
         region: Initial region of data and rollouts.
         variant: How its data is generated, a key of ``VARIANTS``.
     """
@@ -53,6 +55,7 @@ class Cell:
     preset: str
     num_train_episodes: int
     train_seed: int
+    steps: int
     region: str = DEFAULT_REGION
     variant: str = DEFAULT_VARIANT
 
@@ -62,11 +65,11 @@ class Cell:
         get_preset(self.policy, self.preset)
         if self.variant not in VARIANTS:
             raise UnknownNameError("variant", self.variant, VARIANTS)
-        if self.num_train_episodes < 1 or self.train_seed < 0:
+        if self.num_train_episodes < 1 or self.train_seed < 0 or self.steps < 1:
             raise PolicyError(
-                f"num_train_episodes={self.num_train_episodes}, train_seed={self.train_seed}",
-                "one episode or more, and a seed of 0 or more",
-                "correct --sizes or --seeds",
+                f"num_train_episodes={self.num_train_episodes}, train_seed={self.train_seed}, steps={self.steps}",
+                "one episode and step or more, and a seed of 0 or more",
+                "correct --sizes, --seeds or --steps",
             )
 
     @property
@@ -75,12 +78,15 @@ class Cell:
         parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
         return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts, *_suffix(self.variant))))
 
+    @property
+    def recipe(self) -> str:
+        """Return eight letters that change with the preset's hyperparameters and the steps."""
+        return _digest(get_preset(self.policy, self.preset), self.steps)
+
     def is_of(self, line: dict[str, Any]) -> bool:
-        """Tell whether a line of results is this cell's, from the same controller, settings and demonstration."""
-        line = {"variant": PLAIN, **line}
-        return all(line.get(key) == value for key, value in asdict(self).items()) and line.get("stamp") == stamp(
-            self.task
-        )
+        """Tell whether a line of results is this cell's, as the cell would be made now."""
+        mine = {**asdict(self), "recipe": self.recipe, "stamp": stamp(self.task)}
+        return {key: line.get(key) for key in mine} == mine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +102,16 @@ class RegionCell:
     region: str
 
     def is_of(self, line: dict[str, Any]) -> bool:
-        """Tell whether a line of results is this cell's."""
+        """Tell whether a line of results is this cell's, as the cell would be made now."""
         mine = (self.task, self.region, stamp(self.task))
-        return (line.get("task"), line.get("region"), line.get("stamp")) == mine
+        return is_plain(line) and (line.get("task"), line.get("region"), line.get("stamp")) == mine
+
+
+def is_plain(line: dict[str, Any]) -> bool:
+    """Tell whether a line of ``generation.jsonl`` is of attempts as tables count them: nothing disturbed, one try."""
+    return not any(line.get(name) for name in ("retries", "command_noise", "stance_spread")) and (
+        line.get("start_spread", 1.0) == 1.0
+    )
 
 
 def _suffix(variant: str) -> tuple[str, ...]:
@@ -111,19 +124,26 @@ def _stem(task: str, region: str, variant: str = PLAIN) -> str:
     return "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
 
 
+def _digest(*parts: object) -> str:
+    return hashlib.sha256("".join(map(str, parts)).encode()).hexdigest()[:8]
+
+
 @functools.cache
 def stamp(task: str) -> str:
-    """Return eight letters that change with the controller, with how data is generated, and with the task."""
+    """Return eight letters that change with the controller, with how data is generated, and with the task's module."""
     definition = get_task(task)
     source = demonstrations.load(None, definition)
-    made_by = (
+    return _digest(
         provenance.controller_hash(),
+        provenance.task_hash(definition),
         source.content_hash,
         segment(source),
         Settings(),
         definition.episode_length_s,
+        command_noise.SHARES,
+        command_noise.DEVIATIONS.tolist(),
+        STANCE_RANGES.tolist(),
     )
-    return hashlib.sha256("".join(map(str, made_by)).encode()).hexdigest()[:8]
 
 
 def plan(
@@ -135,8 +155,9 @@ def plan(
     seeds: Sequence[int] | None = None,
     policies: Sequence[str] | None = None,
     variants: Sequence[str] | None = None,
+    steps: int | None = None,
 ) -> list[Cell] | list[RegionCell]:
-    """Return the cells of a table: each round goes through all tasks before the next begins.
+    """Return the cells of a table, each once: a round goes through all tasks before the next begins.
 
     Args:
         table: "main", "architectures" or "regions".
@@ -146,22 +167,32 @@ def plan(
         seeds: Of the trainings; the table's by default.
         policies: The table's by default: main trains the MLP everywhere, and ACT once at the largest size.
         variants: Of the training data; more than one, for an ablation, are run in turn.
+        steps: Training steps; each preset's by default.
 
     Raises:
         UnknownNameError: No such table, task, policy, preset or variant.
     """
     if table not in TABLES:
         raise UnknownNameError("table", table, TABLES)
-    names = [get_task(name).name for name in (tasks or FIRST_TASKS.get(table) or all_tasks())]
+    names = list(dict.fromkeys(get_task(name).name for name in (tasks or FIRST_TASKS.get(table) or all_tasks())))
     if table == "regions":
         return [RegionCell(task=task, region=region) for region in reversed(REGIONS) for task in names]
     rounds = _rounds(table, sizes or _SIZES[table], _SEEDS[table] if seeds is None else seeds, policies)
-    return [
-        Cell(task=task, policy=policy, preset=preset, num_train_episodes=size, train_seed=seed, variant=variant)
+    cells = [
+        Cell(
+            task=task,
+            policy=policy,
+            preset=preset,
+            num_train_episodes=size,
+            train_seed=seed,
+            steps=get_preset(policy, preset).steps if steps is None else steps,
+            variant=variant,
+        )
         for policy, size, seed in rounds
         for variant in variants or (DEFAULT_VARIANT,)
         for task in names
     ]
+    return list(dict.fromkeys(cells))
 
 
 def _rounds(
@@ -213,8 +244,8 @@ class Layout:
 
     def training(self, cell: Cell) -> Path:
         """Return where a cell is trained."""
-        return self.root / "policies" / f"{cell.name}_{stamp(cell.task)}"
+        return self.root / "policies" / f"{cell.name}_{stamp(cell.task)}_{cell.recipe}"
 
     def rollouts(self, cell: Cell) -> Path:
         """Return where a cell's rollouts are, one line each."""
-        return self.root / "rollouts" / f"{cell.name}_{stamp(cell.task)}.jsonl"
+        return self.root / "rollouts" / f"{cell.name}_{stamp(cell.task)}_{cell.recipe}.jsonl"

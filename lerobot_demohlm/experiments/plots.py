@@ -12,7 +12,7 @@ from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
-from lerobot_demohlm.experiments.tables import TITLES, by_region, group, latest, rate
+from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, latest, mean_rate, rate
 from lerobot_demohlm.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 170, 34, 16, 24, 26  # of one panel and of its margins [px]
@@ -128,6 +128,7 @@ def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
     if not cells:
         return ""
     tasks = list(dict.fromkeys(task for task, *_ in cells))
+    ages = {line["task"]: age(line) for line in chosen}
     sizes = sorted({size for *_, size in cells} | set(paper.SIZES))
     span = math.log(sizes[-1] / sizes[0])
     places = {size: math.log(size / sizes[0]) / span for size in sizes}
@@ -144,14 +145,13 @@ def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
         for policy in policies:
             ours = []
             for size in sizes:
-                rates = [rate(cells[task, policy, size]) for task in names if (task, policy, size) in cells]
-                if len(rates) == len(names):
-                    mean, low, high = np.mean(rates, axis=0).tolist()
-                    ours.append((places[size], mean, low, high))
+                had = [cells[task, policy, size] for task in names if (task, policy, size) in cells]
+                if len(had) == len(names):
+                    ours.append((places[size], *(rate(had[0]) if len(had) == 1 else mean_rate(had))))
             found.append(Curve(name=policy, points=ours))
         return found
 
-    panels = [Panel(title=task, ticks=ticks, curves=curves([task])) for task in tasks]
+    panels = [Panel(title=task + ages[task], ticks=ticks, curves=curves([task])) for task in tasks]
     if len(tasks) > 1:
         panels.append(Panel(title=f"mean of {len(tasks)} tasks", ticks=ticks, curves=curves(tasks)))
     return figure(panels, {policy: TITLES[policy] for policy in policies} | {"paper": "paper (ACT)"})
@@ -176,7 +176,7 @@ def architectures_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
             if (size, policy) in by_size:
                 mean, low, high = rate(by_size[size, policy])
                 curves.append(Curve(name=policy, points=[(where - 0.04, mean, low, high)]))
-        panels.append(Panel(title=f"{task}, {size} episodes", ticks=ticks, curves=curves, bars=True))
+        panels.append(Panel(title=f"{task}, {size} episodes{age(found[0])}", ticks=ticks, curves=curves, bars=True))
     names = {policy: TITLES[policy] for policy in POLICIES} | {"paper": f"paper ({paper.ARCHITECTURE_SIZE})"}
     return figure(panels, names) if panels else ""
 
@@ -193,7 +193,7 @@ def regions_figure(lines: Sequence[Line]) -> str:
             if (task, region) in paper.GENERATION:
                 theirs.append((where, *[paper.GENERATION[task, region] / 100] * 3))
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
-        panels.append(Panel(title=task, ticks=ticks, curves=curves))
+        panels.append(Panel(title=task + age(found[0]), ticks=ticks, curves=curves))
     return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else ""
 
 

@@ -1,7 +1,8 @@
 """``demohlm reproduce --table main`` -> the lines of that table in ``results/``: what is missing is run, no more.
 
 A cell whose line is there is done, one that was stopped goes on, and a policy's score is always its last checkpoint's.
-Cells run side by side, a process each, so that a training has a core to itself; what two of them train on, one makes.
+Cells run side by side, so that a training has a core to itself; what two of them train on, one makes. Each has its own
+process: a training leaves its precision behind in the process where it ran, and one that dies takes no other along.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,17 @@ _CHOICES = ("tasks", "sizes", "seeds", "policies", "variants")
 Line = dict[str, Any]
 
 
-def missing(cells: Sequence[Cell | RegionCell], layout: Layout) -> list[Cell | RegionCell]:
-    """Return the cells without a line of results, in their order."""
-    lines = {Cell: results.read(layout.policies_file), RegionCell: results.read(layout.generation_file)}
-    return [cell for cell in cells if not any(cell.is_of(line) for line in lines[type(cell)])]
+def missing(
+    cells: Sequence[Cell | RegionCell], layout: Layout, num_rollouts: int = 1, num_attempts: int = 1
+) -> list[Cell | RegionCell]:
+    """Return the cells without a line of results of so many rollouts or attempts, in their order."""
+    policies = [line for line in results.read(layout.policies_file) if line.get("episodes", 0) >= num_rollouts]
+    regions = [line for line in results.read(layout.generation_file) if line.get("attempts", 0) >= num_attempts]
+    return [
+        cell
+        for cell in cells
+        if not any(cell.is_of(line) for line in (policies if isinstance(cell, Cell) else regions))
+    ]
 
 
 def reproduce(
@@ -41,6 +49,8 @@ def reproduce(
     *,
     num_workers: int = 1,
     deadline: float = math.inf,
+    num_rollouts: int = 1,
+    num_attempts: int = 1,
     command: str = "demohlm reproduce",
 ) -> tuple[int, list[str]]:
     """Run the cells that are missing and append their lines.
@@ -51,22 +61,25 @@ def reproduce(
         run: What runs a cell, None where its time was up; importable, as it is called in other processes.
         num_workers: Cells at a time; one waits while another makes the data that both need.
         deadline: Begin no cell after this time (``time.monotonic``) [s].
+        num_rollouts: A line of fewer rollouts is not enough,
+        num_attempts: nor one of fewer attempts.
         command: What the lines say that they come from.
 
     Returns:
         How many cells are done now, and what went wrong in others, a line each.
     """
-    waiting, working, failures, done = missing(cells, layout), {}, [], 0
-    modules = sorted({get_task(cell.task).module for cell in waiting})
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(num_workers, mp_context=context, initializer=_start_worker, initargs=(modules,)) as pool:
+    wanted = partial(missing, layout=layout, num_rollouts=num_rollouts, num_attempts=num_attempts)
+    waiting, working, failures, done = wanted(cells), {}, [], 0
+    with ThreadPoolExecutor(num_workers) as pool:
         while True:
             for cell in list(waiting):
                 if len(working) >= num_workers or time.monotonic() >= deadline:
                     break
                 if not any(_makes_data_of(other, cell, layout) for other in working.values()):
                     waiting.remove(cell)
-                    working[pool.submit(run, cell)] = cell
+                    if not wanted([cell]):
+                        continue  # another process has run it since
+                    working[pool.submit(_run_apart, run, cell)] = cell
                     print(f"begun: {_describe(cell)}, {len(waiting)} after it", file=sys.stderr, flush=True)
             if not working:
                 return done, failures
@@ -75,8 +88,9 @@ def reproduce(
                 cell = working.pop(future)
                 try:
                     line = future.result()
-                except DemoHLMError as error:
-                    failures.append(f"{_describe(cell)}: {error}")
+                except Exception as error:  # whatever became of one cell, the others go on
+                    kind = "" if isinstance(error, DemoHLMError) else f"{type(error).__name__}: "
+                    failures.append(f"{_describe(cell)}: {kind}{error}")
                     print(f"failed: {failures[-1]}", file=sys.stderr, flush=True)
                     continue
                 if line is not None:
@@ -85,11 +99,17 @@ def reproduce(
                     done += 1
 
 
-def _start_worker(modules: Sequence[str]) -> None:
-    """Import what registers the tasks: one may be from outside the package."""
+def _run_apart(run: Callable[[Cell | RegionCell], Line | None], cell: Cell | RegionCell) -> Line | None:
+    """Run a cell in a new process."""
+    context, module = multiprocessing.get_context("spawn"), get_task(cell.task).module
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(module,)) as process:
+        return process.submit(run, cell).result()
+
+
+def _start_worker(module: str) -> None:
+    """Import what registers the task: it may be from outside the package."""
     end_with_parent()
-    for module in modules:
-        importlib.import_module(module)
+    importlib.import_module(module)
 
 
 def _makes_data_of(other: Cell | RegionCell, cell: Cell | RegionCell, layout: Layout) -> bool:
@@ -148,16 +168,15 @@ def main(arguments: argparse.Namespace) -> None:
                 f"{name}={getattr(arguments, name)}", "more than 0", f"correct --{name.replace('_', '-')}"
             )
     layout = Layout(root=arguments.root, results=arguments.results)
-    chosen = {name: getattr(arguments, name) for name in (*_CHOICES, "preset")}
+    chosen = {name: getattr(arguments, name) for name in (*_CHOICES, "preset", "steps")}
+    counts = {name: getattr(arguments, name) for name in ("num_rollouts", "num_attempts")}
     cells = plan(arguments.table, **chosen)
     if arguments.dry_run:
-        for cell in missing(cells, layout):
+        for cell in missing(cells, layout, **counts):
             print(_describe(cell))
         return
     effort = Effort(
-        num_rollouts=arguments.num_rollouts,
-        num_attempts=arguments.num_attempts,
-        steps=arguments.steps,
+        **counts,
         device=arguments.device,
         deadline=time.monotonic() + 3600 * arguments.budget_hours,
     )
@@ -167,11 +186,11 @@ def main(arguments: argparse.Namespace) -> None:
         partial(run_cell, layout=layout, effort=effort),
         num_workers=arguments.num_workers,
         deadline=effort.deadline,
+        **counts,
         command=_command(arguments),
     )
-    print(
-        json.dumps({"table": arguments.table, "run": done, "missing": len(missing(cells, layout)), "failed": failures})
-    )
+    left = len(missing(cells, layout, **counts))
+    print(json.dumps({"table": arguments.table, "run": done, "missing": left, "failed": failures}))
     if failures:
         raise DemoHLMError(failures[0], "cells that come to their end", "see the messages above, and run it again")
 

@@ -8,49 +8,63 @@ import numpy as np
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation import wilson
 from lerobot_demohlm.experiments import paper
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, PLAIN, REGIONS, VARIANTS, stamp
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS, VARIANTS, is_plain, stamp
 from lerobot_demohlm.presets import POLICIES
 
 RESAMPLES = 10_000
-VARIANTS_NOTE = (
-    "noise: commands are executed with noise and recorded without; starts: wider starts of the robot; stances: it acts "
-    "from places that are a little off"
-)
+VARIANT_NOTES = {
+    "noise": "commands are executed with noise and recorded without",
+    "starts": "wider starts of the robot",
+    "stances": "it acts from places that are a little off",
+}
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
 Line = dict[str, Any]
 
 
-def rate(lines: Sequence[Line], key: str = "successes") -> tuple[float, float, float]:
+def rate(lines: Sequence[Line]) -> tuple[float, float, float]:
     """Return the success rate of one cell of a table and its 95 % interval, in [0, 1].
 
-    One training: Wilson's interval over its rollouts. Several: the mean over them, and a bootstrap that draws trainings
-    and, for each, a rate that its rollouts allow (Jeffreys' posterior, which does not vanish at 0 and 1).
+    One training: Wilson's interval over its rollouts. Several: see ``mean_rate``.
 
     Args:
         lines: One a training seed.
-        key: What is counted.
     """
-    counts = np.array([[line[key], line["episodes"]] for line in lines])  # (trainings, 2)
-    rates = counts[:, 0] / counts[:, 1]
-    if len(lines) == 1:
-        return float(rates[0]), *wilson(*counts[0].tolist())
+    if len(lines) > 1:
+        return mean_rate([lines])
+    successes, episodes = lines[0]["successes"], lines[0]["episodes"]
+    return successes / episodes, *wilson(successes, episodes)
+
+
+def mean_rate(cells: Sequence[Sequence[Line]]) -> tuple[float, float, float]:
+    """Return the mean success rate of several cells and its 95 % interval, in [0, 1].
+
+    A bootstrap draws trainings of each cell and, for each, a rate that its rollouts allow (Jeffreys' posterior, which
+    does not vanish at 0 and 1).
+
+    Args:
+        cells: Their lines, one a training seed.
+    """
     rng = np.random.default_rng(0)
-    drawn = rng.integers(len(lines), size=(RESAMPLES, len(lines)))
-    successes, failures = counts[drawn, 0], counts[drawn, 1] - counts[drawn, 0]
-    means = rng.beta(successes + 0.5, failures + 0.5).mean(axis=1)
-    low, high = np.quantile(means, (0.025, 0.975))
-    mean = float(rates.mean())
-    return mean, min(mean, float(low)), max(mean, float(high))
+    means, drawn_means = [], []
+    for lines in cells:
+        counts = np.array([[line["successes"], line["episodes"]] for line in lines])  # (trainings, 2)
+        means.append((counts[:, 0] / counts[:, 1]).mean())
+        drawn = rng.integers(len(lines), size=(RESAMPLES, len(lines)))
+        successes, failures = counts[drawn, 0], counts[drawn, 1] - counts[drawn, 0]
+        drawn_means.append(rng.beta(successes + 0.5, failures + 0.5).mean(axis=1))
+    mean = float(np.mean(means))
+    low, high = np.quantile(np.mean(drawn_means, axis=0), (0.025, 0.975)).tolist()
+    return mean, min(mean, low), max(mean, high)
 
 
 def latest(lines: Iterable[Line], variant: str | None = None) -> list[Line]:
     """Keep the last line of each cell, of those with the controller and demonstration of their task's last line.
 
     Args:
-        lines: Of ``experiments.jsonl``; those that say no variant are plain.
+        lines: Of ``experiments.jsonl``.
         variant: Keep lines of this one only.
     """
-    lines = [{"variant": PLAIN, **line} for line in lines]
+    lines = list(lines)
     stamps = {line["task"]: line["stamp"] for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
     current = [line for line in lines if line["stamp"] == stamps[line["task"]] and variant in (None, line["variant"])]
@@ -74,9 +88,18 @@ def percent(lines: Sequence[Line] | None) -> str:
     """Return a rate with its interval, and how many trainings are behind it where it is not one."""
     if not lines:
         return "-"
-    mean, low, high = rate(lines)
-    text = f"{100 * mean:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    text = interval(*rate(lines))
     return text if len(lines) == 1 else f"{text}, {len(lines)} seeds"
+
+
+def interval(mean: float, low: float, high: float) -> str:
+    """Return a rate with its interval."""
+    return f"{100 * mean:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def share(successes: int, trials: int) -> str:
+    """Return a rate with Wilson's interval."""
+    return interval(successes / trials, *wilson(successes, trials))
 
 
 def number(value: float | None) -> str:
@@ -101,7 +124,7 @@ def main_table(lines: Iterable[Line]) -> str:
     methods = {size: _methods(cells, size) for size in sizes}
     header, rows = ["task"], {task: [label] for task, label in tasks.items()}
     for size in sizes:
-        header += [f"{size}: {_title(*method)}" for method in methods[size]] + [f"paper {size}"]
+        header += [f"{size}: {method_title(*method)}" for method in methods[size]] + [f"paper {size}"]
         for task in tasks:
             rows[task] += [percent(cells.get((task, size, *method))) for method in methods[size]]
             rows[task].append(number(paper.success(task, size)))
@@ -131,16 +154,15 @@ def architectures_table(lines: Iterable[Line]) -> str:
         return ""
     names = [TITLES[policy] for policy in POLICIES]
     header = ["task", "episodes", "preset", *names, *(f"paper: {name}" for name in names)]
-    title = (
-        f"**Success by policy** [%], the same data for all three; the paper's with {paper.ARCHITECTURE_SIZE} episodes"
-    )
+    title = f"**Success by policy** [%], one row one dataset; the paper's with {paper.ARCHITECTURE_SIZE} episodes"
     return f"{title}\n\n" + markdown(header, rows)
 
 
 def by_region(lines: Iterable[Line]) -> dict[str, list[Line]]:
-    """Return the last line of each region in order, for tasks with all three; the first try of an attempt counts."""
-    own = [line for line in lines if not any(line.get(name) for name in ("retries", "command_noise", "stance_spread"))]
-    last = {(line["task"], line["region"]): line for line in own if line.get("start_spread", 1.0) == 1.0}
+    """Return the last line of each region in order, for tasks with all three that are of the same version."""
+    own = [line for line in lines if is_plain(line)]
+    stamps = {line["task"]: line.get("stamp") for line in own}
+    last = {(line["task"], line["region"]): line for line in own if line.get("stamp") == stamps[line["task"]]}
     tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
     return {task: [last[task, region] for region in REGIONS] for task in tasks}
 
@@ -150,7 +172,8 @@ def regions_table(lines: Iterable[Line]) -> str:
     rows = []
     for task, found in by_region(lines).items():
         theirs = [number(paper.GENERATION.get((task, region))) for region in REGIONS]
-        rows.append([task, *map(_generated, found), *theirs])
+        ours = [share(line["successes"], line["attempts"]) for line in found]
+        rows.append([task + age(found[0]), *ours, *theirs])
     if not rows:
         return ""
     header = ["task", *REGIONS, *(f"paper: {region}" for region in REGIONS)]
@@ -170,12 +193,13 @@ def variants_table(lines: Iterable[Line]) -> str:
             task, policy, preset, size, region = key
             shares = [found[0].get("data_success_rate") if found else None for found in ours]
             generated = [number(None if share is None else 100 * share) for share in shares]
-            rows.append([tasks[task], region, _title(policy, preset), str(size), *map(percent, ours), *generated])
+            rows.append([tasks[task], region, method_title(policy, preset), str(size), *map(percent, ours), *generated])
     if not rows:
         return ""
     header = ["task", "region", "policy", "episodes", *names, *(f"generation: {name}" for name in names)]
     title = "**Success by how the training data was generated** [%], the same rollouts for all, and that of generation"
-    return f"{title}; {VARIANTS_NOTE}\n\n" + markdown(header, rows)
+    notes = [f"{name}: {note}" for name, note in VARIANT_NOTES.items() if name in names]
+    return "; ".join([title, *notes]) + "\n\n" + markdown(header, rows)
 
 
 def cost_table(lines: Iterable[Line]) -> str:
@@ -213,10 +237,6 @@ def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str
     return sorted(found, key=lambda method: (POLICIES.index(method[0]), method[1]))
 
 
-def _title(policy: str, preset: str) -> str:
+def method_title(policy: str, preset: str) -> str:
+    """Return what a table calls a policy of a preset."""
     return TITLES[policy] if preset == "cpu" else f"{TITLES[policy]} ({preset})"
-
-
-def _generated(line: Line) -> str:
-    low, high = wilson(line["successes"], line["attempts"])
-    return f"{100 * line['successes'] / line['attempts']:.1f} ({100 * low:.1f} to {100 * high:.1f})"
