@@ -78,7 +78,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
     ("act", "cpu"): Preset(
         type="act",
         batch_size=128,
-        steps=5_000,
+        steps=8_000,
         options={
             **CHUNK,
             **_MEAN_STD,
@@ -89,7 +89,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "dim_feedforward": 512,
             "use_vae": False,  # half the work, for a latent that is zero whenever the policy acts
             "dropout": 0.0,  # a quarter of the time on a CPU; the data do not run out
-            "optimizer_lr": 5e-4,
+            "optimizer_lr": 1e-3,
         },
         cosine=True,
         bfloat16={"use_amp": True},
