@@ -134,6 +134,10 @@ def test_figures_are_svg_with_a_point_a_number() -> None:
     assert len([element for element in bars.iter() if element.get("width") == "16"]) == 2 * (3 + 2)
     sizes = {round(float(bar.get("height", 0)) / (floor - top), 2) for bar in bars.iter() if bar.get("width") == "16"}
     assert {0.8, 0.9} <= sizes
+    larger = [make_line(dataclasses.replace(CELL, num_train_episodes=5000, policy=name)) for name in ("mlp", "act")]
+    third = make_line(dataclasses.replace(CELL, num_train_episodes=1000, policy="diffusion"))
+    assert "LiftBox, 5000 episodes" in plots.architectures_figure([*lines, *larger])
+    assert "LiftBox, 1000 episodes" in plots.architectures_figure([*lines, *larger, third]), "all three are compared"
     assert plots.size_figure(lines, "paper") == plots.regions_figure([]) == ""
 
 

@@ -1,6 +1,7 @@
 """Lines of results -> the paper's figures as SVG: success by data size, by policy and by region; failures by start."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -158,15 +159,15 @@ def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
 
 
 def architectures_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
-    """Return bars of success by policy, a panel a task, at the largest size that more than one policy has."""
+    """Return bars of success by policy, a panel a task, at the size that most policies have, the largest of several."""
     panels = []
     chosen = _chosen(lines, preset)
     for (task,), found in group(chosen, "task").items():
         by_size = group(found, "num_train_episodes", "policy")
-        shared = [size for size in {key[0] for key in by_size} if sum(key[0] == size for key in by_size) > 1]
-        if not shared:
+        count, size = max((count, size) for size, count in Counter(size for size, _ in by_size).items())
+        if count < 2:
             continue
-        size, theirs, curves, ticks = max(shared), paper.SUCCESS_BY_ARCHITECTURE.get(task, {}), [], []
+        theirs, curves, ticks = paper.SUCCESS_BY_ARCHITECTURE.get(task, {}), [], []
         for index, policy in enumerate(POLICIES):
             where = (2 * index + 1) / (2 * len(POLICIES))
             ticks.append((where, TITLES[policy]))
