@@ -162,6 +162,12 @@ VERBS = (
         example="demohlm benchmark loading --chunk 20 --batch-size 512",
     ),
     Verb(
+        name="benchmark training",
+        module="lerobot_demohlm.benchmark_training",
+        help="measure how many samples a second lerobot-train takes with data in memory, and as LeRobot reads them",
+        example="demohlm benchmark training --policies mlp",
+    ),
+    Verb(
         name="benchmark evaluation",
         module="lerobot_demohlm.benchmark_evaluation",
         help="measure how many rollouts an hour lerobot-eval makes, and demohlm evaluate",

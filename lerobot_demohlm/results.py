@@ -210,9 +210,14 @@ _SPEED: dict[str, tuple[str, str, Callable[[Line], tuple[str, str, str]]]] = {
         ),
     ),
     "loading": (
-        "training samples a second (chunk 20, batch 512)",
+        "samples loaded a second (chunk 20, batch 512)",
         "`LeRobotDataset`",
         _rate("memory_samples_per_s", "lerobot_samples_per_s", "ratio"),
+    ),
+    "training": (
+        "samples trained on a second ({policy}, {preset}, batch {batch_size})",
+        "`lerobot-train`, {lerobot_num_workers} processes that load",
+        _rate("samples_per_s", "lerobot_samples_per_s", "ratio"),
     ),
     "evaluation": (
         "rollouts an hour, {num_workers} processes of {num_worlds} worlds",
@@ -223,9 +228,9 @@ _SPEED: dict[str, tuple[str, str, Callable[[Line], tuple[str, str, str]]]] = {
 
 
 def _speed(lines: list[Line]) -> str:
-    latest = {(line["benchmark"], line.get("lerobot_worlds")): line for line in lines}
+    latest = {(line["benchmark"], line.get("lerobot_worlds"), line.get("policy")): line for line in lines}
     rows = []
-    for (name, _), line in sorted(latest.items(), key=lambda entry: list(_SPEED).index(entry[0][0])):
+    for (name, *_), line in sorted(latest.items(), key=lambda entry: list(_SPEED).index(entry[0][0])):
         what, beside, pick = _SPEED[name]
         ours, theirs, ratio = pick(line)
         rows.append([what.format(**line), ours, f"{theirs} ({beside.format(**line)})", ratio])

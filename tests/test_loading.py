@@ -1,5 +1,6 @@
 """Samples from memory equal LeRobot's, for each policy's time steps; other datasets stay LeRobot's own."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ import torch
 from lerobot.datasets import EpisodeAwareSampler, LeRobotDataset, factory
 from synthetic import make_episode, make_facts
 
+from gym_demohlm.errors import PolicyError
 from lerobot_demohlm import cli, dataset_files, loading
+from lerobot_demohlm.benchmark_training import samples_per_s
 from lerobot_demohlm.dataset import write_facts
 from lerobot_demohlm.loading import STD_FLOOR, InMemoryDataset
 from lerobot_demohlm.presets import POLICIES, get_preset, policy_config
@@ -114,7 +117,17 @@ def test_the_plugin_installs_it_and_the_switch_keeps_it_away(monkeypatch: pytest
 
 @pytest.mark.slow
 def test_it_is_fifty_times_as_quick(capsys: pytest.CaptureFixture[str]) -> None:
-    import json
-
     assert cli.main(["benchmark", "loading", "--num-episodes", "20", "--rounds", "1"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["ratio_of_cpu_time"] > 50
+
+
+@pytest.mark.slow
+def test_a_training_is_quicker_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["benchmark", "training", "--policies", "mlp", "--num-episodes", "10", "--steps"]
+    assert cli.main([*words, "1"]) == 2
+    assert cli.main([*words, "8"]) == 0
+    line = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (line["policy"], line["steps"]) == ("mlp", 8)
+    assert line["ratio"] > 2
+    with pytest.raises(PolicyError, match="lerobot-train that failed"):
+        samples_per_s(tmp_path / "no.json", tmp_path / "out", in_memory=True)

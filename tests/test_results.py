@@ -59,7 +59,10 @@ def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
 def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
     speed = {"episodes_per_s": 110.0, "lerobot_episodes_per_s": 5.0, "write_speedup": 22.0, "benchmark": "dataset"}
     memory = {"benchmark": "memory", "run_episodes": 50, "rss_after_a_tenth_mb": 500, "rss_after_all_mb": 505}
-    for line in (speed, memory):
+    trained = {"benchmark": "training", "preset": "cpu", "batch_size": 512, "lerobot_num_workers": 4, "ratio": 50.0}
+    rates = {"samples_per_s": 10_000.0, "lerobot_samples_per_s": 200.0}
+    trainings = [{**trained, **rates, "policy": policy} for policy in ("mlp", "act")]
+    for line in (speed, memory, *trainings):
         results.append(tmp_path / "speed.jsonl", "demohlm benchmark dataset", line)
     runs = [{"backend": "ray", "workers": 2, "attempts_per_hour": 5000, "same": same} for same in (True, False)]
     compared = {"task": "LiftBox", "region": "R3", "attempts": 64, "files": 9, "runs": runs}
@@ -71,6 +74,8 @@ def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
     text = results.tables(tmp_path)
     assert "| state-only episodes written a second | 110.0 | 5.0 (LeRobot's `save_episode`) | 22 |" in text
     assert "| 505 after 50 episodes | 500 (after a tenth of its episodes) | 1.01 |" in text
+    for policy in ("mlp", "act"):
+        assert f"a second ({policy}, cpu, batch 512) | 10,000.0 | 200.0 (`lerobot-train`, 4 processes" in text
     assert "| 2, ray | 5,000 | yes |" in text and "| 2, ray | 5,000 | **no** |" in text
     assert "| kill -9 | 50 | 49 | 1 |" in text
     assert "| 100,000 | 3600 s | none |" in text
