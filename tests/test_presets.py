@@ -21,7 +21,7 @@ from lerobot_demohlm.rollouts import Setting, load_policy
 SMALL: dict[str, dict[str, Any]] = {
     "mlp": {"hidden_dims": [8]},
     "act": {"dim_model": 8, "n_heads": 2, "dim_feedforward": 8, "n_decoder_layers": 1},
-    "diffusion": {"down_dims": (8, 16), "n_groups": 4, "diffusion_step_embed_dim": 8, "num_inference_steps": 2},
+    "diffusion": {"down_dims": (8, 16), "n_groups": 4, "diffusion_step_embed_dim": 8},
 }
 
 
@@ -72,10 +72,10 @@ def test_paper_presets_are_the_papers() -> None:
 def test_cpu_presets_train_in_bfloat16_where_the_processor_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {name: True})
     for preset, device, expected in (("cpu", "cpu", name != "avx2"), ("paper", "cpu", False), ("cpu", "cuda", False)):
-        mlp, act = (policy_config(get_preset(policy, preset), 100, device) for policy in ("mlp", "act"))
+        mlp, act, diffusion = (policy_config(get_preset(policy, preset), 100, device) for policy in POLICIES)
         assert mlp.dtype == ("bfloat16" if expected else "float32")
         assert not mlp.use_amp  # it acts in float32
-        assert act.use_amp == expected
+        assert act.use_amp == diffusion.use_amp == expected
 
 
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
@@ -157,9 +157,9 @@ def test_a_training_has_its_own_precision(root: Path, tmp_path: Path, monkeypatc
     """Not that of the one before it in the same process: accelerate remembers."""
     from accelerate.state import AcceleratorState
 
-    monkeypatch.setattr(presets, "has_bfloat16", lambda: True)
     found = []
-    for index, policy in enumerate(("mlp", "diffusion", "act", "diffusion", "mlp")):
+    for index, policy in enumerate(("mlp", "diffusion", "act", "mlp", "diffusion")):
+        monkeypatch.setattr(presets, "has_bfloat16", lambda index=index: index % 2 == 0)
         training.train(tmp_path / str(index), root, policy)
         found.append(AcceleratorState().mixed_precision)
     assert found == ["bf16", "no", "bf16", "no", "bf16"]
