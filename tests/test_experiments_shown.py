@@ -111,6 +111,13 @@ def test_paper_has_every_task() -> None:
         assert rates[-1] == paper.SUCCESS_BY_ARCHITECTURE[task]["act"]
     assert paper.success("LiftBox", 1000) == 98.6
     assert paper.success("LiftBox", 1001) is None
+    assert [tables.number(value) for value in (13.35, 89.25, 86.41, 100.0, None)] == [
+        "13.4",
+        "89.3",
+        "86.4",
+        "100.0",
+        "-",
+    ]
 
 
 def test_figures_are_svg_with_a_point_a_number() -> None:

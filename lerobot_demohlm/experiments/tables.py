@@ -1,6 +1,7 @@
 """Lines of results -> the paper's three tables with ours beside them, and the ablation of data, as Markdown."""
 
 from collections.abc import Iterable, Sequence
+from decimal import ROUND_HALF_UP, Decimal
 from typing import Any
 
 import numpy as np
@@ -103,8 +104,8 @@ def share(successes: int, trials: int) -> str:
 
 
 def number(value: float | None) -> str:
-    """Return a percentage of the paper."""
-    return "-" if value is None else f"{value:.1f}"
+    """Return a percentage, 13.35 as 13.4: the paper's have two digits, and are not to look smaller than they are."""
+    return "-" if value is None else str(Decimal(str(value)).quantize(Decimal("0.1"), ROUND_HALF_UP))
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
