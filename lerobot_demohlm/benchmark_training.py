@@ -49,11 +49,11 @@ def measure(root: Path, policy: str, preset: str, steps: int) -> dict[str, Any]:
         root: Dataset without images.
         policy: "mlp", "act" or "diffusion".
         preset: "paper" or "cpu".
-        steps: Training steps, of which the second half counts.
+        steps: Training steps, two or more, of which the second half counts; an odd one is left out.
     """
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "train.json"
-        config = train_config(root, Path(scratch) / "unused", policy, preset, steps=steps)
+        config = train_config(root, Path(scratch) / "unused", policy, preset, steps=steps // 2 * 2)
         config.log_freq, config.save_checkpoint = steps // 2, False
         write_config(file, config)
         theirs = samples_per_s(file, Path(scratch) / "lerobot", in_memory=False)
@@ -62,7 +62,7 @@ def measure(root: Path, policy: str, preset: str, steps: int) -> dict[str, Any]:
         "policy": policy,
         "preset": preset,
         "batch_size": config.batch_size,
-        "steps": steps,
+        "steps": config.steps,
         "lerobot_num_workers": LEROBOT_NUM_WORKERS,
         "lerobot_samples_per_s": theirs,
         "samples_per_s": ours,
@@ -89,11 +89,10 @@ def main(arguments: argparse.Namespace) -> None:
     for name, least in (("num_episodes", 1), ("steps", 2)):
         if (value := getattr(arguments, name)) < least:
             raise DatasetError(f"{name}={value}", f"{least} or more", f"correct --{name.replace('_', '-')}")
-    steps = arguments.steps // 2 * 2
     with tempfile.TemporaryDirectory() as scratch:
         root = arguments.root
         if root is None:
             root = Path(scratch) / "random"
             write_random_dataset(root, arguments.num_episodes)
         for policy in arguments.policies:
-            print(json.dumps(measure(root, policy, arguments.preset, steps)), flush=True)
+            print(json.dumps(measure(root, policy, arguments.preset, arguments.steps)), flush=True)

@@ -1,7 +1,8 @@
 """The name of a policy and of a preset -> LeRobot's training configuration: the paper's hyperparameters, or a CPU's.
 
 ``paper`` is the paper's appendix. What it does not say, or what LeRobot's policies cannot do, is marked at its place.
-``cpu`` is smaller: a task trains in less than a quarter of an hour on a core. All of a preset is here and nowhere else.
+``cpu`` is smaller: a task trains in about a quarter of an hour on a core, or less. All of a preset is here and nowhere
+else.
 """
 
 from collections.abc import Mapping
@@ -125,7 +126,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "down_dims": (128, 256),
             "kernel_size": 3,
             "diffusion_step_embed_dim": 128,
-            "prediction_type": "sample",  # of noise, what is left after a short training is a tremble of the arms
+            "prediction_type": "sample",  # noise asks for a longer training: docs/experiments.md
             "clip_sample": False,  # actions go beyond +-1 deviation
             "noise_scheduler_type": "DDIM",
             "num_train_timesteps": 5,  # all are made to act: of a hundred, LeRobot's DDIM would begin below full noise

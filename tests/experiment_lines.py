@@ -19,4 +19,5 @@ def make_line(cell: Cell = CELL, successes: int = 200, **changes: Any) -> dict[s
 
 
 def layout(root: Path) -> Layout:
+    """Return where experiments under a directory of a test are."""
     return Layout(root=root / "runs", results=root / "results")
