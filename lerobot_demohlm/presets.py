@@ -41,12 +41,10 @@ class Preset:
     bfloat16: Mapping[str, Any] = field(default_factory=dict)
 
 
-_MIN_MAX_ACTIONS = {  # what Diffusion's samples, clipped to +-1, ask for; inputs as the others have them
-    "normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MIN_MAX"}
-}
 _MEAN_STD = {"normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
-_EXTREMES = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MIN_MAX", "ACTION": "MEAN_STD"}}
-"""Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more: they must not lie there."""
+_MIN_MAX = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MIN_MAX", "ACTION": "MIN_MAX"}}
+"""Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more, and clips its samples to +-1."""
+_MIN_MAX_INPUTS = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MIN_MAX", "ACTION": "MEAN_STD"}}
 _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 """Diffusion learns the last steps of an episode too, as the other two do, and nothing of what lies behind them."""
 
@@ -102,7 +100,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         batch_size=4096,
         steps=10_000,
         options={
-            **_MIN_MAX_ACTIONS,
+            **_MIN_MAX,
             **_TO_THE_END,
             "n_obs_steps": 1,
             "horizon": 24,  # the paper's 20; LeRobot wants a multiple of 2 ** len(down_dims)
@@ -120,7 +118,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         batch_size=128,
         steps=8_000,
         options={
-            **_EXTREMES,
+            **_MIN_MAX_INPUTS,
             **_TO_THE_END,
             "n_obs_steps": 1,
             "horizon": 16,  # the 10 that are carried out, and what they need to be a multiple of 8

@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies.factory import make_pre_post_processors
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from safetensors.torch import load_file
 from synthetic import make_episode, make_facts
 
@@ -76,6 +79,23 @@ def test_cpu_presets_train_in_bfloat16_where_the_processor_does(name: str, monke
         assert mlp.dtype == ("bfloat16" if expected else "float32")
         assert not mlp.use_amp  # it acts in float32
         assert act.use_amp == diffusion.use_amp == expected
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_diffusion_tells_all_observations_apart(name: str) -> None:
+    """Its observations go to Mish as they are, which rises from -1.19 on only; a neck is seldom turned, but far."""
+    config = policy_config(get_preset("diffusion", name), steps=100)
+    keys = {OBS_STATE: FeatureType.STATE, OBS_ENV_STATE: FeatureType.ENV}
+    config.input_features = {key: PolicyFeature(kind, (1,)) for key, kind in keys.items()}
+    config.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (1,))}
+    stats = {"min": -0.7, "max": 0.7, "mean": 0.0, "std": 0.05}
+    preprocessor, _ = make_pre_post_processors(
+        config, dataset_stats={key: {kind: torch.tensor([value]) for kind, value in stats.items()} for key in keys}
+    )
+    turns = torch.linspace(-0.7, 0.7, 29)[:, None]
+    inputs = preprocessor(dict.fromkeys(keys, turns))
+    for key in keys:
+        assert (torch.nn.functional.mish(inputs[key]).diff(dim=0) > 0).all()
 
 
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
