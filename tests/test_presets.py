@@ -10,7 +10,7 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.factory import make_pre_post_processors
-from lerobot.utils.constants import ACTION, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from safetensors.torch import load_file
 from synthetic import make_episode, make_facts
 
@@ -93,6 +93,20 @@ def test_diffusion_tells_all_states_apart(name: str) -> None:
     )
     inputs = preprocessor({OBS_STATE: torch.linspace(-0.7, 0.7, 29)[:, None]})
     assert (torch.nn.functional.mish(inputs[OBS_STATE]).diff(dim=0) > 0).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_diffusion_measures_objects_by_deviations(name: str) -> None:
+    """Extremes are far out: a millimetre in meters of them is nothing, and Handover's cube falls beside the palm."""
+    config = policy_config(get_preset("diffusion", name), steps=100)
+    config.input_features = {OBS_ENV_STATE: PolicyFeature(FeatureType.ENV, (1,))}
+    config.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (1,))}
+    stats = {"min": -1.0, "max": 1.0, "mean": 0.5, "std": 0.1}
+    preprocessor, _ = make_pre_post_processors(
+        config, dataset_stats={OBS_ENV_STATE: {kind: torch.tensor([value]) for kind, value in stats.items()}}
+    )
+    inputs = preprocessor({OBS_ENV_STATE: torch.tensor([[0.5], [0.6]])})
+    torch.testing.assert_close(inputs[OBS_ENV_STATE], torch.tensor([[0.0], [1.0]]))
 
 
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
