@@ -5,6 +5,7 @@ Leg odometry: the lower foot is taken to be planted, so the pelvis moves opposit
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arccos, arctan2
 from gym_demohlm.robot import g1
 
 _Vector = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -20,7 +21,7 @@ def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
     for joint in g1.LEG_JOINTS[: len(g1.LEG_JOINTS) // 2]:
         body = spec.body(f"{joint}_link")
         axis = "xyz"[int(np.argmax(np.abs(spec.joint(f"{joint}_joint").axis)))]
-        links.append((axis, np.array(body.pos), 2 * float(np.arctan2(body.quat[2], body.quat[0]))))
+        links.append((axis, np.array(body.pos), 2 * float(arctan2(body.quat[2], body.quat[0]))))
     return links, np.array([0.035, 0.0, -0.035])
 
 
@@ -94,7 +95,7 @@ def estimate(
     weights = np.stack([left, 1 - left], axis=1)[..., None]  # (N, 2, 1)
     velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
     upright = (normals * up[:, None]).sum(axis=2)
-    tilt = np.arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
+    tilt = arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
     return velocity, tilt, -(weights[..., 0] * height).sum(axis=1)
 
 

@@ -1,8 +1,7 @@
 """Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller, batched, NumPy only.
 
-A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
-differently with the number of rows and with its place among them. They are padded to blocks of six worlds and their six
-mirror images: OpenBLAS's kernels for SkylakeX round all of them alike, those for Haswell and Zen each six.
+A world's targets have the same bits whether it is computed alone or in a batch, and on every processor: the network's
+products are exact (``arithmetic.ExactProduct``).
 """
 
 import hashlib
@@ -12,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import attitude, command, features, odometry, reference, trim
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
 WEIGHTS_FORMAT = 4
-_BLOCK = 12  # rows
-_ONE_THREAD_PRODUCT = 262144  # multiplications
+_LARGEST_INPUT = 6.0  # deviations from the mean: what training clips observations to
+_LARGEST_HIDDEN = 64.0  # of a hidden unit: far above what occurs
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 _SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
 _CLOCK = _SLEWED.stop
@@ -57,8 +57,14 @@ class Weights:
                 loaded = {name: arrays[name] for name in arrays.files}
             self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
             layers = int(self.metadata["layers"])
-            self.layers = [(_split(loaded[f"weight_{i}"]), loaded[f"bias_{i}"]) for i in range(layers)]
-            self.mean, self.scale = loaded["mean"], loaded["scale"]
+            self.layers = [
+                (
+                    ExactProduct(loaded[f"weight_{i}"], _LARGEST_HIDDEN if i else _LARGEST_INPUT),
+                    loaded[f"bias_{i}"].astype(np.float64),
+                )
+                for i in range(layers)
+            ]
+            self.mean, self.scale = (loaded[name].astype(np.float64) for name in ("mean", "scale"))
             self._tables = loaded["posture_table"], loaded["arm_table"]
         except Exception as error:  # readers of zip files raise anything
             raise SceneError(
@@ -78,21 +84,6 @@ class Weights:
     def make_reference(self) -> reference.Reference:
         """Return the reference pose that the policy corrects."""
         return reference.Reference(*self._tables)
-
-
-def _split(weight: np.ndarray) -> list[np.ndarray]:
-    """Cut a layer into columns whose product with a block stays on one thread.
-
-    OpenBLAS shares larger products among threads that wait for one another far longer than such a product takes.
-    """
-    columns = weight.shape[1]
-    width = columns if _BLOCK * weight.size <= _ONE_THREAD_PRODUCT else 64
-    pieces = [weight[:, first : first + width] for first in range(0, columns, width)]
-    return pieces if len(pieces) == 1 else [np.ascontiguousarray(piece) for piece in pieces]
-
-
-def _elu(x: np.ndarray) -> np.ndarray:
-    return np.maximum(x, 0) + (np.exp(np.minimum(x, 0)) - 1)  # float32's exp is far quicker than its expm1
 
 
 class WholeBodyController:
@@ -213,21 +204,10 @@ class WholeBodyController:
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
         """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        rows, half = len(observed), _BLOCK // 2
-        padded = np.zeros((-(-rows // half) * half, features.OBSERVATION_SIZE), dtype=np.float32)
-        padded[:rows] = observed
-        latent = np.clip((padded - self.weights.mean) * self.weights.scale, -6.0, 6.0)
-        mirrored = features.mirror(latent, features.OBSERVATION_MIRROR)
-        blocks = [part.reshape(-1, half, features.OBSERVATION_SIZE) for part in (latent, mirrored)]
-        output = self._network(np.concatenate(blocks, axis=1))
-        seen, in_mirror = output[:, :half].reshape(len(padded), -1), output[:, half:].reshape(len(padded), -1)
-        return (0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR)))[:rows]
-
-    def _network(self, blocks: np.ndarray) -> np.ndarray:
-        """Apply the layers to blocks one by one, (B, 12, OBSERVATION_SIZE) -> (B, 12, 15), float32."""
-        last = len(self.weights.layers) - 1
-        for index, (pieces, bias) in enumerate(self.weights.layers):
-            blocks = np.concatenate([blocks @ piece for piece in pieces], axis=2) + bias
-            if index < last:
-                blocks = _elu(blocks)
-        return blocks
+        latent = (observed - self.weights.mean) * self.weights.scale  # the first product clips it
+        hidden = np.concatenate([latent, features.mirror(latent, features.OBSERVATION_MIRROR)])
+        for product, bias in self.weights.layers[:-1]:
+            hidden = elu(product(hidden) + bias)
+        product, bias = self.weights.layers[-1]
+        seen, in_mirror = np.split(product(hidden) + bias, 2)
+        return 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
