@@ -7,7 +7,7 @@ slow: a torso that something holds back pushes little harder with time, and whoe
 
 import numpy as np
 
-from gym_demohlm.control import reference
+from gym_demohlm.timing import CONTROL_DT
 
 RATE = 0.7  # 1/s: error that is corrected in a second, as a share of what there is of it
 FADE = 2.0  # 1/s: correction that is lost in a second where there is nothing to learn, likewise
@@ -26,5 +26,5 @@ def advance(trim: np.ndarray, told: np.ndarray, measured: np.ndarray, constant: 
     Returns:
         (N, 5).
     """
-    further = np.clip(trim + RATE * reference.CONTROL_DT * (told - measured), -LIMITS, LIMITS)
-    return np.where(constant, further, (1 - FADE * reference.CONTROL_DT) * trim)
+    further = np.clip(trim + RATE * CONTROL_DT * (told - measured), -LIMITS, LIMITS)
+    return np.where(constant, further, (1 - FADE * CONTROL_DT) * trim)

@@ -15,6 +15,7 @@ from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import attitude, command, features, odometry, reference, trim
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.timing import CONTROL_DT
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
 WEIGHTS_FORMAT = 4
@@ -40,7 +41,7 @@ class Weights:
     """The exported policy: layers, normaliser, quasi-static tables and metadata.
 
     Args:
-        path: An ``.npz`` written by ``gym_demohlm.wbc.export``. Nothing in it is executed or unpickled.
+        path: An ``.npz`` written by ``gym_demohlm.wbc.training.export``. Nothing in it is executed or unpickled.
 
     Attributes:
         metadata: How it was trained and what it expects.
@@ -163,7 +164,7 @@ class WholeBodyController:
             q[:, _ARM_POSITIONS],
             dq[:, _ARM_POSITIONS],
             down_torso,
-            reference.CONTROL_DT,
+            CONTROL_DT,
         )
         phase, stopped, standing = reference.advance_clock(
             state[:, _CLOCK],
