@@ -15,6 +15,7 @@ from typing import Any
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
+from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
 from lerobot_demohlm.datasets.writer import write_dataset
@@ -33,11 +34,12 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         num_attempts: How many, 1 or more.
         demonstration: Directory of the demonstration; the packaged one by default.
     """
-    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, BLOCK_SIZE)
-    watch = Stopwatch()
-    watch.watch(attempts._sim._pool, "rollout", "mj_step")
-    watch.watch(attempts._sim._controller, "step", "controller")
-    watch.watch(attempts._ik, "solve", "inverse_kinematics")
+    watch, pool = Stopwatch(), make_pool(1)
+    sim = Simulation(task, BLOCK_SIZE, pool=pool)
+    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, sim=sim)
+    watch.watch(pool, "rollout", "mj_step")
+    watch.watch(sim.controller, "step", "controller")
+    watch.watch(attempts.ik, "solve", "inverse_kinematics")
     successes, simulated, after_first = 0, 0.0, 0.0
     began = time.process_time()
     with tempfile.TemporaryDirectory() as scratch:

@@ -115,6 +115,9 @@ class Attempts:
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
         on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
         sim: Where they run, for watchers; a new one with num_worlds by default. It is closed with the attempts.
+
+    Attributes:
+        ik: The solver of their inverse kinematics; it remembers nothing.
     """
 
     def __init__(
@@ -135,7 +138,7 @@ class Attempts:
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration)
         self._sim = sim or Simulation(task, num_worlds=num_worlds)
-        self._ik = WholeBodyIK(self._sim.model)
+        self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
 
     def close(self) -> None:
@@ -157,7 +160,7 @@ class Attempts:
         sim.reset(starts, np.arange(len(indices)))
         self._on_step(sim)
         running = [
-            Running(index=index, start=start, world=World(sim=sim, index=world, ik=self._ik))
+            Running(index=index, start=start, world=World(sim=sim, index=world, ik=self.ik))
             for world, (index, start) in enumerate(zip(indices, starts, strict=True))
         ]
         before = sim.snapshot()

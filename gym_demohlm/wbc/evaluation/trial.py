@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.control.arm_load import HAND
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -49,20 +50,12 @@ class DelayedController(WholeBodyController):
         super().__init__(num_worlds, weights)
         self._waiting = np.tile(g1.HOME, (delay_ticks, num_worlds, 1))
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by a tick and return the targets computed ``delay_ticks`` ago; arguments as in the base class."""
         chosen = slice(None) if worlds is None else worlds
         late = self._waiting[0, chosen].copy()
         self._waiting[:-1, chosen] = self._waiting[1:, chosen]
-        self._waiting[-1, chosen] = super().step(quat_wxyz, gyro, q, dq, commands, worlds)
+        self._waiting[-1, chosen] = super().step(sensed, commands, worlds)
         return late
 
 

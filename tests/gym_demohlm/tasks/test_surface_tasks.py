@@ -31,12 +31,10 @@ def simulation(task: Task) -> Simulation:
 
 def put(sim: Simulation, name: str, T_world_object: np.ndarray, wiped: float = 0.0) -> None:
     """Put a loose object somewhere, with a share of the writing gone where there is one."""
-    snapshot = sim.snapshot()
-    address = 1 + sim.model.joint(name).qposadr[0]
-    snapshot["physics"][0, address : address + 7] = np.concatenate(poses.split(T_world_object))
-    if "memory" in snapshot:
-        snapshot["memory"][:] = np.arange(snapshot["memory"].shape[1]) < wiped * snapshot["memory"].shape[1]
-    sim.restore(snapshot)
+    sim.set_pose(name, T_world_object)
+    size = sim.memory.shape[1]
+    if size:
+        sim.restore(sim.snapshot() | {"memory": (np.arange(size) < wiped * size)[None].astype(np.float64)})
 
 
 @pytest.mark.parametrize("task", [press_cube.TASK, push_cube.TASK, erase_board.TASK], ids=lambda task: task.name)
