@@ -15,11 +15,10 @@ from gym_demohlm.robot import g1
 from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.scene import build_scene
+from gym_demohlm.simulation.judge import FALLEN_HEIGHT, FALLEN_TILT
 from gym_demohlm.task import Task
 
-FALLEN_HEIGHT = 0.33  # m; the lowest command is 0.40 m
 JAW_MARGIN = 0.002  # m: jaws this near to closed hold nothing
-FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS.value  # what a row of physics holds: time, qpos, qvel
 
 

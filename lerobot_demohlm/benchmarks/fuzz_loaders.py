@@ -70,7 +70,7 @@ def targets(scratch: Path) -> list[tuple[Path, Callable[[], object]]]:
     recorded = Path(shutil.copytree(demonstration.default_root(TASK), scratch / "demonstration"))
     found = demonstration.load(recorded, TASK)
     sidecar = recorded / demonstration.CORRECTIONS_PATH
-    sidecar.write_text(json.dumps({"segments": [vars(entry) for entry in segment(found)]}))
+    sidecar.write_text(json.dumps({"segments": [vars(entry) for entry in segment(found, TASK)]}))
     run = GenerationRun.open(scratch / "data", "user/name", FACTS)
     write_block(run.directory, FACTS, range(1), [failure()])
     run.close()
@@ -81,7 +81,7 @@ def targets(scratch: Path) -> list[tuple[Path, Callable[[], object]]]:
     weights = Path(shutil.copy(DEFAULT_WEIGHTS, scratch / "weights.npz"))
 
     def read_demonstration() -> None:
-        segment(demonstration.load(recorded))
+        segment(demonstration.load(recorded), TASK)
 
     def read_run() -> None:
         GenerationRun.open(scratch / "data", "user/name", FACTS).close()

@@ -20,14 +20,14 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
-from gym_demohlm.envs.episode import HOLD_S, HOLD_STEPS, max_episode_steps
+from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import STEP_DT
+from gym_demohlm.timing import HOLD_S, HOLD_STEPS, STEP_DT
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
 from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
 from lerobot_demohlm.experiments import lines

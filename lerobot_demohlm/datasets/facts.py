@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.datasets.episode import OUTCOMES
+from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm.reproducibility import provenance
 
 ROBOT_TYPE = "unitree_g1"

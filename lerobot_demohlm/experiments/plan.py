@@ -13,7 +13,6 @@ from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.policies.presets import POLICIES, get_preset
-from lerobot_demohlm.reproducibility import provenance
 
 REGIONS = ("R1", "R2", "R3")
 FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
@@ -74,7 +73,7 @@ class Cell:
     def name(self) -> str:
         """Return what its directory is called."""
         parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
-        return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts, *_suffix(self.variant))))
+        return "_".join(map(str, (get_task(self.task).slug, *parts, *_suffix(self.variant))))
 
     @property
     def recipe(self) -> str:
@@ -119,7 +118,7 @@ def _suffix(variant: str) -> tuple[str, ...]:
 
 def _stem(task: str, region: str, variant: str = PLAIN) -> str:
     """Return what the names of datasets begin with."""
-    return "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
+    return "_".join((get_task(task).slug, region.lower(), *_suffix(variant), stamp(task)))
 
 
 def _digest(*parts: object) -> str:

@@ -139,7 +139,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
             "change them",
         )
     demonstration = demonstrations.load(request.demonstration, task)
-    segment(demonstration)  # fails now rather than in a worker
+    segment(demonstration, task)  # fails now rather than in a worker
     facts = GenerationFacts(
         task=task.name,
         task_text=task.description,
@@ -157,7 +157,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         start_spread=request.start_spread,
         stance_spread=request.stance_spread,
     )
-    repo_id = request.repo_id or f"demohlm/{provenance.file_name(task)}_{request.region.lower()}"
+    repo_id = request.repo_id or f"demohlm/{task.slug}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
     try:
         began, found = time.monotonic(), run.num_successes

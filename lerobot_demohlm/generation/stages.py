@@ -19,7 +19,7 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
-from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.generation.world_view import WorldView
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)
@@ -157,7 +157,7 @@ def first_approach(segments: Sequence[Segment]) -> Segment:
 
 
 def choose_placement(
-    world: World, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
+    world: WorldView, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
 ) -> retarget.Placement:
     """Choose from where to act on the first object that a hand goes to."""
     first = first_approach(segments)
@@ -190,7 +190,7 @@ def stance(seed: int, index: int, spread: float) -> np.ndarray:
     return np.random.default_rng([STANCE_STREAM, seed, index]).uniform(low, high)
 
 
-def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
+def locomotion(world: WorldView, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
     """Walk until the base stands at its goal (x, y, yaw); fails with "off_course" where it does not get there."""
     try:
         yield from walk(lambda: world.pose("pelvis"), goal, settings)
@@ -205,7 +205,7 @@ def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> 
         ) from None
 
 
-def step_back(world: World, settings: RetreatSettings) -> Iterator[np.ndarray]:
+def step_back(world: WorldView, settings: RetreatSettings) -> Iterator[np.ndarray]:
     """Let the arms down and step back, for another try; how far exactly does not matter."""
     last, rest = world.command(), command.rest()
     for share in np.arange(1, settings.rest_ticks + 1) / settings.rest_ticks:

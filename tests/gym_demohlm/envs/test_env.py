@@ -14,12 +14,12 @@ import gym_demohlm  # noqa: F401  registers the environments
 from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.envs.env import DemoHLMEnv
-from gym_demohlm.envs.episode import HOLD_STEPS
 from gym_demohlm.envs.observation import STATE_NAMES, environment_names
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import CommandError, SceneError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.task import Task
+from gym_demohlm.timing import HOLD_STEPS
 from tests.helpers.hold import HoldController
 
 TASKS = sorted(all_tasks())

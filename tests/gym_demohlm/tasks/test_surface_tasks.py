@@ -47,7 +47,7 @@ def test_the_packaged_demonstration_earns_success(task: Task) -> None:
         assert sim.success()[0] == (name == "end")
         assert not any(failed[0] for failed in sim.failures().values())
     sim.close()
-    kinds = [(entry.hand, entry.kind) for entry in segment(demonstration)]
+    kinds = [(entry.hand, entry.kind) for entry in segment(demonstration, task)]
     assert kinds == [("left", "proprioception"), ("right", "object"), ("right", "proprioception")]
 
 
@@ -105,7 +105,7 @@ def test_the_field_moves_with_the_table_and_not_with_the_cubes_yaw() -> None:
 def test_whichever_way_the_cube_faces_it_is_pushed_onto_the_field() -> None:
     """The face is chosen from which the demonstrated push leads far enough to the left."""
     task, demonstration = push_cube.TASK, demonstrations.load(task=push_cube.TASK)
-    segments, index = segment(demonstration), [entry.name for entry in task.objects].index("cube")
+    segments, index = segment(demonstration, task), [entry.name for entry in task.objects].index("cube")
     way = demonstration.T_world_objects[-1, index, :3, 3] - demonstration.T_world_objects[0, index, :3, 3]
     scene = build_scene(task)
     data, rng = mujoco.MjData(scene.model), np.random.default_rng(0)

@@ -188,14 +188,16 @@ def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -
         ({"success_held", "collided"}, "success"),
         ({"fell", "dropped"}, "fell"),
         ({"unstable"}, "fell"),
-        ({"dropped", "collided"}, "dropped"),
+        ({"dropped", "collided"}, "collided"),
+        ({"dropped"}, "dropped"),
+        ({"spilled"}, "dropped"),
         ({"collided"}, "collided"),
         (set(), "timeout"),
     ],
 )
 def test_outcome_names_what_went_wrong_worst(flags: set[str], outcome: str) -> None:
-    names = ("success_held", "fell", "unstable", "dropped", "collided")
-    assert rollouts._outcome({name: name in flags for name in names}) == outcome
+    names = ("success_held", "fell", "unstable", "collided", "dropped", "spilled")
+    assert rollouts._outcome({name: name in flags for name in names}, ("dropped", "spilled")) == outcome
 
 
 def test_wilson_intervals() -> None:

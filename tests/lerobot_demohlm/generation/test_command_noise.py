@@ -20,7 +20,7 @@ from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation import command_noise, stages
-from lerobot_demohlm.generation.attempt import Attempts, Running, initial_state
+from lerobot_demohlm.generation.attempt import Attempt, Attempts, initial_state
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.command_noise import DEVIATIONS, LARGEST, LONGEST, SHARES, SHORTEST, bursts, disturbed
 from lerobot_demohlm.generation.run import GenerationRun
@@ -190,7 +190,7 @@ def test_the_robot_acts_from_the_stance_that_was_drawn() -> None:
     seen: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     for spread in (0.0, 1.0):
 
-        def watch(attempt: Running, _: np.ndarray, spread: float = spread) -> None:
+        def watch(attempt: Attempt, _: np.ndarray, spread: float = spread) -> None:
             if attempt.playback is not None and attempt.placement is not None:
                 seen.setdefault(spread, (attempt.placement.goal, poses.to_planar(attempt.world.pose("pelvis"))))
 

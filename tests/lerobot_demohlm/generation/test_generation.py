@@ -17,7 +17,8 @@ import pytest
 from gym_demohlm.errors import DatasetError, UnknownNameError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.datasets.episode import OUTCOMES, Episode
+from gym_demohlm.simulation.judge import OUTCOMES
+from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.generation import runner, stages
