@@ -18,10 +18,12 @@ from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.runner import BLOCK_SIZE
+from lerobot_demohlm.generation.stages import Settings
 
 
 def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration: Path | None = None) -> dict[str, Any]:
@@ -36,7 +38,8 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
     """
     watch, pool = Stopwatch(), make_pool(1)
     sim = Simulation(task, BLOCK_SIZE, pool=pool)
-    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, sim=sim)
+    plain = Settings(variation=PLAIN)  # as in all earlier measurements
+    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, settings=plain, sim=sim)
     watch.watch(pool, "rollout", "mj_step")
     watch.watch(sim.controller, "step", "controller")
     watch.watch(attempts.ik, "solve", "inverse_kinematics")

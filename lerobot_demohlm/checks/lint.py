@@ -29,9 +29,11 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import HOLD_S, HOLD_STEPS, STEP_DT
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
 from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.attempt import Attempts
 
 ALL = "all"
@@ -229,11 +231,12 @@ def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check
 
 
 def _check_replays(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
-    """Replay the demonstration from other starts, as a generation run of that seed does."""
+    """Replay the demonstration from other starts, as a generation run of that seed without noise does."""
     count, region = settings.num_episodes, list(task.regions)[-1]
     sim, broken = Simulation(task, min(count, REPLAYS_TOGETHER)), 0
     watch = OverlapWatch(sim)
-    attempts = Attempts(task, demonstration, region, settings.seed, sim=sim)
+    plain = stages.Settings(variation=PLAIN)
+    attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)
     outcomes: Counter[str] = Counter()
     for first in range(0, count, sim.num_worlds):
         outcomes.update(episode.outcome for episode in attempts.run(range(first, min(first + sim.num_worlds, count))))

@@ -174,9 +174,8 @@ def _physics() -> Iterable[bytes]:
 
 
 def _attempts(task: Task, count: int) -> Iterable[bytes]:
-    """Yield what attempts of a task come to: its packaged demonstration, R3, seed 0, commands with noise."""
-    settings = Settings(command_noise=1.0)
-    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=settings)
+    """Yield what attempts of a task come to as `demohlm generate` makes them: packaged demonstration, R3, seed 0."""
+    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=Settings())
     try:
         for episode in attempts.run(range(count)):
             yield f"{episode.digest} {episode.outcome} {episode.stage} {GENERATION_STREAM}".encode()

@@ -100,7 +100,7 @@ class Attempts:
         region: Initial region.
         seed: Of the run.
         num_worlds: Most attempts at once.
-        settings: Gains, limits and times.
+        settings: Variation, gains, limits and times; those of ``demohlm generate`` by default.
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
         on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
         sim: Where they run, for watchers; a new one with num_worlds by default. It is closed with the attempts.
@@ -145,7 +145,8 @@ class Attempts:
 
     def _run_together(self, indices: Sequence[int]) -> list[Episode]:
         sim = self._sim
-        spread, noisy = self.settings.start_spread, self.settings.command_noise > 0.0
+        variation = self.settings.variation
+        noisy, spread = variation.command_noise > 0.0, variation.start_spread
         starts = [initial_state(self.task, self.region, self.seed, index, spread) for index in indices]
         sim.reset(starts, np.arange(len(indices)))
         self._judge.reset(np.arange(len(indices)))
@@ -229,7 +230,7 @@ class Attempts:
         """Return the command (23,) float32 that is executed where an attempt has planned one."""
         assert attempt.noise is not None  # else there is nothing to ask for
         noise, delicate = next(attempt.noise), attempt.playback is not None and attempt.playback.delicate
-        share = 0.0 if delicate else self.settings.command_noise * command_noise.SHARES[attempt.stage]
+        share = 0.0 if delicate else self.settings.variation.command_noise * command_noise.SHARES[attempt.stage]
         return command_noise.disturbed(planned, share * noise)
 
     def _commands(self, attempt: Attempt) -> Iterator[np.ndarray]:
@@ -239,7 +240,7 @@ class Attempts:
                 yield from self._try(attempt)
                 return
             except StageError as failure:
-                if not failure.again or attempt.retries == self.settings.retries:
+                if not failure.again or attempt.retries == self.settings.variation.retries:
                     raise
             attempt.retries += 1
             if attempt.playback is not None:
@@ -251,7 +252,7 @@ class Attempts:
         """Go through the stages once, from where things are."""
         world, demonstration = attempt.world, self.demonstration
         chosen = stages.choose_placement(world, self.task, demonstration, self._segments)
-        off = stages.stance(self.seed, attempt.index, self.settings.stance_spread)
+        off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
         placement = replace(chosen, goal=poses.to_planar(poses.planar(*chosen.goal) @ poses.planar(*off)))
         attempt.placement = placement
         yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
@@ -321,9 +322,11 @@ def _fall(world: WorldView, unstable: bool) -> str:
     )
 
 
-def attempt(task: Task, demonstration: Demonstration, region: str, seed: int, index: int) -> Episode:
-    """Make one attempt: a function of its arguments and the installation."""
-    attempts = Attempts(task, demonstration, region, seed)
+def attempt(
+    task: Task, demonstration: Demonstration, region: str, seed: int, index: int, settings: Settings | None = None
+) -> Episode:
+    """Make one attempt: a function of its arguments and the installation; see ``Attempts``."""
+    attempts = Attempts(task, demonstration, region, seed, settings=settings)
     try:
         return attempts.run([index])[0]
     finally:

@@ -5,9 +5,8 @@ step. So stages of many worlds run side by side in one simulation. A stage that 
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
@@ -23,7 +23,6 @@ from lerobot_demohlm.generation.world_view import WorldView
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)
-CHOICES = ("retries", "command_noise", "start_spread", "stance_spread")  # of a run: what its facts say of its settings
 STANCE_STREAM = 2  # first number of its seed sequences, as GENERATION_STREAM is of initial states
 STANCE_RANGES = np.array([[-0.05, 0.02], [-0.04, 0.04], [-0.08, 0.08]])  # m, m, rad: back rather than into a table
 
@@ -112,29 +111,21 @@ class RetreatSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """All of the above.
+    """How attempts are made; the defaults are those of ``demohlm generate``.
 
     Attributes:
-        retries: How often an attempt may begin again where the walk has missed its goal, the hands could not reach the
-            object, or a gripper has closed beside it; each try has the task's whole time limit.
-        command_noise: Scale of the noise that executed commands carry (``command_noise``); without any where 0.
-        start_spread: Factor by which the region's ranges of the robot's pose are widened.
-        stance_spread: Share of ``STANCE_RANGES`` by which the goal of an attempt's walk is off.
+        variation: How attempts differ from plain ones.
+        retreat: What a robot does between a stage that has failed and the next try.
+        grip: How a gripper closes.
+        locomotion: How the robot walks to its place.
+        playback: How the hands follow the demonstration.
     """
 
-    retries: int = 0
-    command_noise: float = 0.0
-    start_spread: float = 1.0
-    stance_spread: float = 0.0
+    variation: DataVariation = field(default_factory=DataVariation)
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
-
-
-def chosen_settings(facts: Mapping[str, Any]) -> Settings:
-    """Return the settings of a run by what it keeps of itself, as ``meta/demohlm.json``; older runs keep less."""
-    return Settings(**{name: facts[name] for name in CHOICES if name in facts})
 
 
 class StageError(Exception):

@@ -82,7 +82,7 @@ class Shots(Sequence[np.ndarray]):
 
 
 def generated_take(task: Task, region: str, seed: int, index: int, demonstration: Path | None = None) -> Take:
-    """Make one attempt of a generation run.
+    """Make one attempt, the one that ``demohlm generate`` makes with this seed by default.
 
     Args:
         task: The task.
