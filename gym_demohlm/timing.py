@@ -1,6 +1,6 @@
 """How time is divided: physics and PD at 500 Hz, whole-body controller at 50 Hz, policy and environment at 10 Hz."""
 
-PHYSICS_DT = 0.002  # s
+PHYSICS_DT = 0.002  # s, one step of MuJoCo and of the joint PD (paper, "Hardware Design")
 CONTROL_DT = 0.02  # s, one tick of the whole-body controller
 TICKS = 5  # controller ticks a step
 STEP_DT = CONTROL_DT * TICKS  # s, one step of environment and policy

@@ -14,9 +14,9 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
+from gym_demohlm.timing import PHYSICS_DT
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
@@ -68,7 +68,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         "cpu_s_per_attempt": round(total / num_attempts, 3),
         "seconds_per_episode": round(total / max(successes, 1), 3),
         "simulated_s_per_episode": round(simulated / max(successes, 1), 2),
-        "us_per_mj_step": round(1e6 * watch.seconds["mj_step"] * g1.PHYSICS_DT / simulated, 1),
+        "us_per_mj_step": round(1e6 * watch.seconds["mj_step"] * PHYSICS_DT / simulated, 1),
         **shares,
         "python_share": round(1.0 - sum(watch.seconds.values()) / total, 4),
         "episodes_per_hour_per_core": round(3600.0 * successes / total, 1),

@@ -23,11 +23,10 @@ from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import all_tasks, get_task
-from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import HOLD_S, HOLD_STEPS, STEP_DT
+from gym_demohlm.timing import HOLD_S, HOLD_STEPS, PHYSICS_DT, STEP_DT
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
@@ -41,7 +40,7 @@ REPLAYS_TOGETHER = 8  # side by side
 MIN_SUCCESS = 0.5  # of the replays
 MAX_DEPTH = 0.005  # m that one thing may be inside another
 IMPACT_SPEED = 5.0  # m/s, of what falls off a table, or of a hand when the robot falls
-MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * g1.PHYSICS_DT
+MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * PHYSICS_DT
 LEAST_CHANGE = 1e-6  # of a number of the observation over all starts and steps; below it is rounding
 PERIODS = (1, 10)  # steps after which a random command is followed by the next, in turn from world to world
 

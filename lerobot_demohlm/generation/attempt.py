@@ -210,7 +210,7 @@ class Attempts:
                 attempt.end(*_failure(attempt, fault))
             elif len(attempt.action) >= self._num_ticks * (1 + attempt.retries):
                 limit_s = self.task.episode_length_s * (1 + attempt.retries)
-                self._judge(attempt, f"the time limit of {limit_s:g} s was reached")
+                self._conclude(attempt, f"the time limit of {limit_s:g} s was reached")
 
     def _next_command(self, attempt: Attempt) -> np.ndarray | None:
         if attempt.outcome is not None:
@@ -218,7 +218,7 @@ class Attempts:
         try:
             wanted = next(attempt.commands)
         except StopIteration:
-            self._judge(attempt, "the motion was over")
+            self._conclude(attempt, "the motion was over")
         except StageError as failure:
             attempt.end(failure.outcome, failure.reason)
         else:
@@ -262,7 +262,7 @@ class Attempts:
             attempt.stage = playback.stage
             yield wanted
 
-    def _judge(self, attempt: Attempt, why: str) -> None:
+    def _conclude(self, attempt: Attempt, why: str) -> None:
         """Judge an attempt whose motion or time is over."""
         if self._judge.success_held[attempt.world.index]:
             attempt.end("success")

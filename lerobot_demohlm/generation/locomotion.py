@@ -8,6 +8,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.control import command, reference
+from gym_demohlm.timing import STEP_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +69,14 @@ class BaseEstimate:
 
     Args:
         window_ticks: Period of the gait.
-        dt: Tick [s].
 
     Attributes:
         position: (3,) x, y, yaw now [m, m, rad].
         velocity: (3,) in the world [m/s, m/s, rad/s].
     """
 
-    def __init__(self, window_ticks: int, dt: float = 0.1) -> None:
-        self._window, self._dt = window_ticks, dt
+    def __init__(self, window_ticks: int) -> None:
+        self._window = window_ticks
         self._seen: list[np.ndarray] = []
         self.position, self.velocity = np.zeros(3), np.zeros(3)
 
@@ -86,7 +86,7 @@ class BaseEstimate:
         if self._seen:
             here[2] = self._seen[-1][2] + poses.wrap_angle(here[2] - self._seen[-1][2])
         self._seen = [*self._seen[-self._window :], here]
-        span = (len(self._seen) - 1) * self._dt
+        span = (len(self._seen) - 1) * STEP_DT
         if span > 0:
             self.velocity = (self._seen[-1] - self._seen[0]) / span
         self.position = np.mean(self._seen, axis=0) + 0.5 * span * self.velocity
@@ -182,14 +182,12 @@ def walk_velocity(
     return np.clip(wanted, [-backward, -side, -yaw_rate], [forward, side, yaw_rate])
 
 
-def _integrate(
-    bias: np.ndarray, here: np.ndarray, goal: np.ndarray, settings: LocomotionSettings, dt: float = 0.1
-) -> np.ndarray:
+def _integrate(bias: np.ndarray, here: np.ndarray, goal: np.ndarray, settings: LocomotionSettings) -> np.ndarray:
     """Return the bias (3,) after one more tick with this error; large errors are the walk itself."""
     error = poses.to_planar(poses.invert(poses.planar(*here)) @ poses.planar(*goal))
     if (np.abs(error) > settings.bias_within).any():
         return bias
-    return np.clip(bias + settings.integral_gain * dt * error, -np.array(settings.max_bias), settings.max_bias)
+    return np.clip(bias + settings.integral_gain * STEP_DT * error, -np.array(settings.max_bias), settings.max_bias)
 
 
 def _errors(here: np.ndarray, goal: np.ndarray) -> tuple[float, float]:

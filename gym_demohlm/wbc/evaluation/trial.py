@@ -16,6 +16,7 @@ from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.timing import PHYSICS_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +35,7 @@ class Disturbance:
     torso_load: float = 0.0
     friction: float | None = None
     delay_ticks: int = 0
-    timestep: float = g1.PHYSICS_DT
+    timestep: float = PHYSICS_DT
 
 
 class DelayedController(WholeBodyController):

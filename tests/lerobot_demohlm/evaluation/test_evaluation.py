@@ -29,8 +29,15 @@ from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import Chunk
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
 from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import make_chunked_mlp_pre_post_processors
 
-TASK = register_task(replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)).name
+BRIEF = replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)
+TASK = BRIEF.name
 SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 23}
+
+
+@pytest.fixture(autouse=True)
+def brief_task(known_tasks: None) -> None:
+    """Make the brief task known to each test of this file alone."""
+    register_task(BRIEF)
 
 
 def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
