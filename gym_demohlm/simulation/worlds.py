@@ -209,7 +209,7 @@ class Worlds:
         return self._forces[:, column + pairs.index(pair)].copy()
 
     def holds(self, side: str, name: str, force_n: float = 2.0) -> np.ndarray:
-        """Return whether a gripper (N,) is told to close, presses on an object and is kept from closing by it.
+        """Return whether a gripper (N,) is commanded to close, presses on an object and cannot close because of it.
 
         Args:
             side: "left" or "right".
@@ -217,9 +217,9 @@ class Worlds:
             force_n: Least normal force on it [N].
         """
         index = g1.SIDES.index(side)
-        told = self._command[:, command.GRIPPERS][:, index] > 0.5
+        closing = self._command[:, command.GRIPPERS][:, index] > 0.5
         kept_open = self.gripper_positions[:, index] < GRIPPER.stroke - JAW_MARGIN
-        return told & kept_open & (self.contact_force(side, name) >= force_n)
+        return closing & kept_open & (self.contact_force(side, name) >= force_n)
 
     @property
     def memory(self) -> np.ndarray:

@@ -58,7 +58,7 @@ class Demonstration:
         contact_forces: (T, P) mean normal force of ``task.contact_pairs`` over the tick [N].
         success: (T,) bool, whether the task's condition held after the tick.
         start: Snapshot of the simulation before the first command.
-        end: The same after the last.
+        end: Snapshot of the simulation after the last command.
         metadata: format_version, task, versions, controller_hash, model_hash, operator, ...
         corrections: Hand-made corrections of the segmentation; None where there are none.
     """

@@ -40,29 +40,29 @@ def initial_state(task: Task, region: str, seed: int, index: int, spread: float 
 
 @dataclass
 class Attempt:
-    """An attempt under way; its lists have an entry for every step made.
+    """An attempt under way; its lists have one entry for every step made.
 
     Attributes:
-        index: Of the attempt.
-        start: Its initial state.
-        world: Where it runs.
-        commands: What is left of its commands.
-        noise: What is left of its noise; None where commands are executed as planned.
-        placement: Where it decided to stand; None before.
-        playback: What moves the hands, once the robot stands there.
-        stage: It is in.
-        outcome: How it ended; None before.
-        reason: The same in words; empty for a success.
-        retries: How often it began again after a stage that failed.
+        index: Index of the attempt in its run.
+        start: Initial state of its world.
+        world: The world that it runs in.
+        commands: The commands that are still to come.
+        noise: The noise that is still to come; None where commands are executed as planned.
+        placement: Where the robot is to stand; None until that is chosen.
+        playback: What moves the hands; None until the robot stands at its place.
+        stage: Current stage.
+        outcome: One of ``OUTCOMES``; None until the attempt ends.
+        reason: Why the attempt ended, in words; empty for a success.
+        retries: Number of times that it began again after a stage that failed.
         trail: Fingerprints of its world.
-        state: (68,) before each step.
-        environment_state: (9k,) before each step.
-        action: (23,) as planned.
-        executed: (23,) as applied.
+        state: (68,) observation of the robot before each step.
+        environment_state: (9k,) observation of the objects before each step.
+        action: (23,) command of each step as planned.
+        executed: (23,) command of each step as applied.
         success: Whether the task's condition held after each step.
         stages: Stage of each step.
-        contact_forces: (5, pairs) of each step [N].
-        collision_forces: (5,) of each step [N].
+        contact_forces: (5, pairs) normal forces of each step between hands and objects [N].
+        collision_forces: (5,) largest normal force of each step between robot and obstacles [N].
     """
 
     index: int
@@ -92,21 +92,21 @@ class Attempt:
 
 
 class Attempts:
-    """Runs attempts of one task and demonstration; keeps the simulation and the solver for the next call.
+    """Makes attempts at one task from one demonstration; keeps the simulation and the solver for the next call.
 
     Args:
         task: The task.
-        demonstration: Of that task.
+        demonstration: A demonstration of the task.
         region: Initial region.
-        seed: Of the run.
-        num_worlds: Most attempts at once.
+        seed: Seed of the run.
+        num_worlds: Largest number of attempts that run side by side.
         settings: Variation, gains, limits and times; those of ``demohlm generate`` by default.
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
         on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
-        sim: Where they run, for watchers; a new one with num_worlds by default. It is closed with the attempts.
+        sim: The simulation that attempts run in, which ``close`` closes; a new one with ``num_worlds`` by default.
 
     Attributes:
-        ik: The solver of their inverse kinematics; it remembers nothing.
+        ik: Solver of the inverse kinematics, shared by all attempts; it keeps no state.
     """
 
     def __init__(

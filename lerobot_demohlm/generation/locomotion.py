@@ -22,23 +22,24 @@ class LocomotionSettings:
         max_velocity: Fastest forward, backward, sideways [m/s] and yaw rate [rad/s].
         integral_gain: Velocity a second of an error of one metre or radian [1/s^2]: a gait answers slow commands with
             a bias of its own.
-        max_bias: Most that this makes up for [m/s, m/s, rad/s].
+        max_bias: Largest velocity that the integral adds [m/s, m/s, rad/s].
         bias_within: Errors larger than this are not integrated [m, m, rad].
         window_ticks: Ticks over which the base is averaged, a period of the gait, whose sway is no error.
-        coast_s: How long the robot goes on at its speed once it is told to stand [s].
-        settle_shift: How the base then moves while it steps its feet square, in its own frame [m, m, rad]; the mean of
-            what the shipped controller does.
-        standoff: Metres to stay back from the goal for a metre of sideways error: turn and line up first, then step in.
-        standoff_yaw: The same for a radian of heading error.
-        max_standoff: Most of it [m].
-        free_error: Sideways error for which nothing is held back [m].
-        tolerance_m: Stop walking where it would come to stand within this distance of the goal,
-        tolerance_rad: and within this heading error.
-        accept_m: Go on to the next stage with at most this distance once the robot stands still,
-        accept_rad: and this heading error; otherwise walk again.
-        settle_ticks: Ticks to stand still after walking; the controller squares up its feet meanwhile.
-        max_walks: Times to walk before giving up.
-        max_ticks: Longest locomotion stage.
+        coast_s: Time for which the robot keeps its speed after a command to stand [s].
+        settle_shift: Motion of the base, in its own frame, while the robot steps its feet square after a walk
+            [m, m, rad]; the mean of the shipped controller.
+        standoff: Metres to stay back from the goal for each metre of sideways error: the robot lines up first and then
+            steps in.
+        standoff_yaw: Metres to stay back from the goal for each radian of heading error.
+        max_standoff: Largest distance to stay back from the goal [m].
+        free_error: Sideways error up to which the robot does not stay back [m].
+        tolerance_m: A walk stops where the robot would come to stand within this distance of the goal.
+        tolerance_rad: A walk stops where the robot would come to stand within this heading error.
+        accept_m: Largest distance from the goal at which a robot that stands still goes on to the next stage.
+        accept_rad: Largest heading error with which a robot that stands still goes on to the next stage.
+        settle_ticks: Ticks to stand still after a walk, while the controller squares up the feet.
+        max_walks: Number of walks before the attempt gives up.
+        max_ticks: Largest number of ticks of the locomotion stage.
     """
 
     position_gain: float = 1.2

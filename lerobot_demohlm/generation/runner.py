@@ -46,8 +46,8 @@ class GenerationRequest:
     Attributes:
         task: Name of the task.
         region: Initial region.
-        seed: Attempt i is a function of it, the region, the demonstration and i.
-        root: Directory of the dataset; must not exist.
+        seed: Attempt i is a function of this seed, the region, the demonstration, the variation and i.
+        root: Directory of the dataset; it must not exist.
         num_episodes: Stop at this many successes; None where ``num_attempts`` is given.
         num_attempts: Make exactly this many attempts; None where ``num_episodes`` is given.
         num_workers: Number of blocks that are made at the same time.
@@ -86,8 +86,8 @@ class GenerationSummary:
     Attributes:
         task: Name of the task.
         region: Initial region.
-        seed: Of the run.
-        attempts: Attempts made.
+        seed: Seed of the run.
+        attempts: Number of attempts made.
         successes: Episodes in the dataset.
         success_rate: successes / attempts.
         outcomes: Attempts by outcome.
@@ -170,7 +170,7 @@ def make_blocks(run: GenerationRun, workers: Workers, report: Callable[[], None]
 
     Args:
         run: Where blocks are missing.
-        workers: Who make them.
+        workers: What makes the blocks.
         report: Called after each block.
 
     Raises:
@@ -204,9 +204,9 @@ class BlockMaker:
     """Makes blocks of a run in a worker, which need not be of this machine.
 
     Attributes:
-        facts: Of the run.
-        demonstration: Of its task.
-        task_module: Which registers the task.
+        facts: The run's facts.
+        demonstration: The run's demonstration.
+        task_module: Name of the module that registers the task.
     """
 
     facts: GenerationFacts

@@ -32,24 +32,27 @@ class PlaybackSettings:
     """How the hands follow the demonstration.
 
     Attributes:
-        transit_speed: Mean speed at which hands come from where they are to where an object's motion begins [m/s].
-        min_transit_ticks: Shortest time for it.
-        joining_share: Of a segment, in which they do so while its motion goes on; before it where that is too short.
+        transit_speed: Mean speed of hands on their way to where an object's motion begins [m/s].
+        min_transit_ticks: Least number of ticks of that way.
+        joining_share: Share of a segment in which hands may join its motion while it goes on. Where this is too short
+            for their way, they make it before the segment begins.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
-        hold_error_m: The same during manipulation, where a robot that stands a little off may trail.
-        hold_ticks: How long it may last.
-        steering_gain: Share of what a hand misses that each tick moves its target by, while it follows an object.
-        max_shift_m: Most of it.
-        path_gain: Velocity for a metre or radian that the base is off its path while hands hold something, forward,
+        hold_error_m: Largest distance of a palm from its target, by kinematics, during manipulation. It is larger than
+            ``reach_error_m``, as a robot that stands a little off may trail.
+        hold_ticks: Number of ticks that a palm may be further from its target than ``hold_error_m``.
+        steering_gain: Share of a hand's error by which its target moves in each tick while it follows an object.
+        max_shift_m: Largest distance by which steering moves a target.
+        path_gain: Velocity for an error of one metre or radian of the base's path while hands hold something: forward,
             sideways and turning [1/s].
-        max_path_velocity: Most that this changes the demonstrated velocity by [m/s, m/s, rad/s].
-        walk_height: Least torso height while hands hold something and the base walks [m], and
-        walk_pitch: most torso pitch [rad]: a controller does not step with a robot that bends deeply.
-        arrive_m: A walk with this little of its way left is done.
-        arrive_ticks: Longest time to walk on where more is left.
-        displaced_m: An object pushed further than this before the hands take it was run into.
+        max_path_velocity: Largest change of the demonstrated velocity for the sake of the path [m/s, m/s, rad/s].
+        walk_height: Least torso height while hands hold something and the base walks [m]; the controller does not step
+            in a deep bend.
+        walk_pitch: Largest torso pitch while hands hold something and the base walks [rad].
+        arrive_m: Distance to the end of a walk at which the walk is done.
+        arrive_ticks: Largest number of ticks to walk on where the end of a walk is further away than ``arrive_m``.
+        displaced_m: Distance from which on an object that moved before the hands took it counts as run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
-        delicate_ticks: Ticks before and after a touch, a grip or a release in which no command is disturbed.
+        delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
     """
 
     transit_speed: float = 0.3
@@ -76,12 +79,12 @@ class GripSettings:
     """How a gripper closes: first the hand settles where the demonstrated one was, then the grip is verified.
 
     Attributes:
-        settle_m: A hand this near to its place beside the object is settled.
-        settle_ticks: Longest settling; whether it was near enough shows in the grip.
-        gain: Share of the remaining error that each tick takes off by moving the target.
-        max_correction_m: Furthest that the target is moved.
+        settle_m: Distance from its place beside the object at which a hand is settled.
+        settle_ticks: Largest number of ticks to settle; the gripper closes after them in any case.
+        gain: Share of the hand's remaining error by which its target moves in each tick.
+        max_correction_m: Largest distance by which settling moves a target.
         grip_n: Least normal force of a grip.
-        grip_ticks: Longest wait for it; without it the object was missed.
+        grip_ticks: Largest number of ticks to wait for that force; after them the object was missed.
     """
 
     settle_m: float = 0.006
@@ -97,10 +100,10 @@ class RetreatSettings:
     """What a robot does between a stage that has failed and the next try.
 
     Attributes:
-        release_ticks: To open the grippers.
-        speed: Of the hands on their way back, in that of their way there.
-        rest_ticks: To let the arms down from where the hands began.
-        back_m: Distance that the base then steps back.
+        release_ticks: Ticks to open the grippers.
+        speed: Speed of the hands on their way back, as a multiple of that on their way to the object.
+        rest_ticks: Ticks to let the arms down.
+        back_m: Distance that the base steps back once the arms are down.
     """
 
     release_ticks: int = 5
