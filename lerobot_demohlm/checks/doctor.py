@@ -300,9 +300,8 @@ def run(options: DoctorOptions) -> int:
     width = max(len(digest.name) for digest in digests)
     print(f"{'digest':<{width}}  packaged      this machine")
     for digest in digests:
-        print(
-            f"{digest.name:<{width}}  {digest.packaged[:12]}  {digest.here[:12]}  {'' if digest.equal else 'differs'}"
-        )
+        verdict = "equal" if digest.equal else "differs"
+        print(f"{digest.name:<{width}}  {digest.packaged[:12]}  {digest.here[:12]}  {verdict}")
     findings.append(judge(digests, portability.differing_versions()))
     print(findings[-1])
     if options.write is not None:

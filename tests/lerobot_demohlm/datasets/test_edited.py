@@ -96,10 +96,11 @@ def test_damaged_and_missing_origins(tmp_path: Path) -> None:
     position = table.schema.get_field_index(origin.COLUMN)
     content = table.column(origin.COLUMN).to_pylist()[0]
     for damage, text in (
-        ([*content[:50], *b"{broken", *content[50:]][: origin.SIZE], "damaged origin"),
+        ([*b"{", *content[:-1]], "damaged origin"),
         ([0] * origin.SIZE, "without its origin"),
         ([300] * origin.SIZE, "damaged origin"),
-        (list(b'{"facts": {}, "record": {}}'), "damaged origin"),
+        (list(b'{"facts": {}, "record": {}}'), "the origin of episode 0 without digest"),
+        (list(b'{"facts": []}'), "damaged origin"),
     ):
         pq.write_table(table.set_column(position, origin.COLUMN, pa.array([damage])), path)
         with pytest.raises(DatasetError, match=text):
