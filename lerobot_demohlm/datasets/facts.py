@@ -1,7 +1,7 @@
 """A generation run -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
-What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py`` and
-``generation_block.py``, which import lerobot only where they write or merge, through ``dataset_files.py``):
+What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation/run.py`` and
+``generation/block.py``, which import lerobot only where they write or merge, through ``writer.py`` and ``merge.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
@@ -198,11 +198,9 @@ def check_records(records: Iterable[dict[str, Any]], source: str) -> None:
 
 def is_record(value: object) -> bool:
     """Tell whether a value read from a file has an attempt's index, its frames and its outcome."""
-    return (
-        isinstance(value, dict)
-        and value["outcome"] in OUTCOMES
-        and all(type(value[key]) is int and value[key] >= 0 for key in ("attempt", "frames"))
-    )
+    if not isinstance(value, dict) or value.get("outcome") not in OUTCOMES:
+        return False
+    return all(type(count) is int and count >= 0 for count in (value.get("attempt"), value.get("frames")))
 
 
 def read_records(path: Path) -> list[dict[str, Any]]:
@@ -214,7 +212,7 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     try:
         records = [json.loads(line) for line in path.read_text().splitlines()]
         sound = all(is_record(record) for record in records)
-    except (OSError, ValueError, KeyError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
     if not sound:
         raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")
