@@ -47,7 +47,7 @@ def uv(*words: str | Path, cwd: Path) -> str:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the sdist of the checkout and the wheel that is built from it."""
     folder = tmp_path_factory.mktemp("dist")
-    uv("build", "--quiet", "--out-dir", folder, REPOSITORY, cwd=folder)
+    uv("build", "--quiet", "--python", sys.executable, "--out-dir", folder, REPOSITORY, cwd=folder)
     return folder
 
 
