@@ -3,7 +3,6 @@
 Everything that is looked at is a ``Finding`` with a remedy, so that a report can be printed, tested and kept.
 """
 
-import argparse
 import contextlib
 import importlib.metadata
 import importlib.util
@@ -322,15 +321,3 @@ def _environment() -> Iterator[Finding]:
         yield look()
     yield from space()
     yield from extras()
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm doctor``."""
-    parser.add_argument("--tasks", action="store_true", help="compare the behaviour of all ten tasks, too (a minute)")
-    parser.add_argument("--write", type=Path, help="write this machine's digests as JSON, as in digests.json")
-    parser.add_argument("--append", type=Path, help="append a line about this processor to a file of results")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Run ``demohlm doctor``."""
-    return run(DoctorOptions(**vars(arguments)))

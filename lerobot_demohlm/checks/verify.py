@@ -12,15 +12,12 @@ Under other versions of what decides bits, or on another kind of processor, bits
 where it ends as stored and its observations stay within ``BOUNDS``.
 """
 
-import argparse
 import functools
 import importlib
-import json
 import multiprocessing
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -560,37 +557,3 @@ def choose(text: str, sample: int | None, total: int, seed: int) -> list[int]:
         raise DatasetError(f"--sample {sample}", "1 or more", "correct it")
     drawn = np.random.default_rng(seed).permutation(len(chosen))[:sample]
     return sorted(chosen[position] for position in drawn)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm verify``."""
-    parser.add_argument("--root", type=Path, required=True, help="dataset of `demohlm generate`, or its failures")
-    parser.add_argument("--task", help="my_module:MyTask, for a task from outside the package")
-    parser.add_argument("--episodes", default="all", help="all, or numbers such as 0,5,17 (default: %(default)s)")
-    parser.add_argument("--sample", type=int, help="verify this many of them, drawn at random")
-    parser.add_argument("--seed", type=int, default=0, help="of that draw (default: %(default)s)")
-    parser.add_argument("--num-workers", type=int, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--demonstration", type=Path, help="its directory, for edited datasets (default: the packaged)")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Verify a dataset; exit code 1 where an episode does not agree. The last line on stdout is a JSON object."""
-    root: Path = arguments.root
-    task = get_task(arguments.task or origin.task_of(root))
-    began = time.monotonic()
-    chosen = choose(arguments.episodes, arguments.sample, len(reader.lengths(root)), arguments.seed)
-    outcome = verify(root, task, chosen, arguments.num_workers, _say, True, arguments.demonstration)
-    print("\n".join(outcome.lines()))
-    content = asdict(outcome) | {"identical": outcome.identical, "episodes_that_differ": len(outcome.differences)}
-    content["episodes_within_bounds"] = outcome.within_bounds
-    content["differences"] = content["differences"][:SHOWN]
-    content["seconds"] = round(time.monotonic() - began, 1)
-    print(json.dumps(content))
-    return 0 if outcome.agrees else 1
-
-
-def _say(different: tuple[str, ...]) -> None:
-    for line in different:
-        print(line, flush=True)
-    if different:
-        print("bits hold for one version of the code and its libraries: this alone may change them", flush=True)

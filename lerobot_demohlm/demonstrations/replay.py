@@ -1,16 +1,14 @@
 """A demonstration -> the same commands sent to the same start, compared with the recording bit for bit."""
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.demonstrations.demonstration import Demonstration, load, measure
+from lerobot_demohlm.demonstrations.demonstration import Demonstration, measure
 from lerobot_demohlm.reproducibility import provenance
 
 JOINT_BOUND = 0.02
@@ -119,16 +117,3 @@ def _changed_hashes(demonstration: Demonstration, sim: Simulation) -> Iterator[s
     for key, value in now.items():
         if demonstration.metadata.get(key) != value:
             yield f"{key.replace('_', ' ')} {str(demonstration.metadata.get(key))[:12]} recorded, {value[:12]} now"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm replay``."""
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Replay a demonstration; exit code 1 where it does not agree with its recording."""
-    outcome = replay(load(arguments.root, get_task(arguments.task)))
-    print("\n".join(outcome.lines()))
-    return 0 if outcome.agrees else 1
