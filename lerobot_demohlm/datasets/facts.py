@@ -1,7 +1,7 @@
 """A generation run -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
 What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation/run.py`` and
-``generation/block.py``, which import lerobot only where they write or merge, through ``writer.py`` and ``merge.py``):
+``generation/block.py``, which import lerobot only where they write or merge, through ``datasets/writer.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
