@@ -28,11 +28,11 @@ from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.checks.overlaps import Overlap, WatchedSimulation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
-from lerobot_demohlm.experiments import lines
-from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.reproducibility.results import append_result
 
 ALL = "all"
 REPLAYS_TOGETHER = 8  # side by side
@@ -347,8 +347,8 @@ def main(arguments: argparse.Namespace) -> int:
         print(format_table(task.name, checks), end="\n\n", flush=True)
         if arguments.results is not None:
             line = {"task": task.name, **asdict(settings), "failed": failed[task.name], "found": found[task.name]}
-            line["stamp"] = stamp(task.name)
-            lines.append(arguments.results / "lint.jsonl", _command(task, settings), line)
+            line["stamp"] = portability.stamp(task)
+            append_result(arguments.results / "lint.jsonl", _command(task, settings), line)
     ok = not any(failed.values())
     print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
     return 0 if ok else 1
