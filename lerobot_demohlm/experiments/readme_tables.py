@@ -3,7 +3,6 @@
 A line says what was measured, by which command, at which commit. Tables are made from lines alone; nothing is typed in.
 """
 
-import argparse
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -445,20 +444,3 @@ def update_readme(readme: Path, results: Path) -> bool:
     changed = f"{before}{BEGIN}\n{readme_table(results)}\n{END}{after}"
     readme.write_text(changed)
     return changed != text
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm results``."""
-    parser.add_argument("--results", type=Path, default=Path("results"), help="folder of JSON lines")
-    parser.add_argument("--output", type=Path, help="write all tables to this file, such as docs/results.md")
-    parser.add_argument("--readme", type=Path, help="put the ten-row table between the markers of this file")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm results``: print all tables, or write the files that are named."""
-    if arguments.output is None and arguments.readme is None:
-        print(tables(arguments.results))
-    if arguments.output is not None and write_results(arguments.output, arguments.results):
-        print(f"updated {arguments.output}")
-    if arguments.readme is not None and update_readme(arguments.readme, arguments.results):
-        print(f"updated {arguments.readme}")

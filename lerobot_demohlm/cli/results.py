@@ -1,0 +1,34 @@
+"""``demohlm results``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from lerobot_demohlm.cli.parsing import default
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm results``.
+
+    Attributes:
+        results: Folder of JSON lines.
+        output: Write all tables to this file, such as docs/results.md.
+        readme: Put the table with one row a task between the markers of this file.
+    """
+
+    results: Path = Path("results")
+    output: Annotated[Path | None, default("print them")] = None
+    readme: Annotated[Path | None, default("none")] = None
+
+
+def run(options: Options) -> None:
+    """Print all tables, or write the files that are named."""
+    from lerobot_demohlm.experiments.readme_tables import tables, update_readme, write_results
+
+    if options.output is None and options.readme is None:
+        print(tables(options.results))
+    if options.output is not None and write_results(options.output, options.results):
+        print(f"updated {options.output}")
+    if options.readme is not None and update_readme(options.readme, options.results):
+        print(f"updated {options.readme}")
