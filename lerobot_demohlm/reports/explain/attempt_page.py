@@ -198,10 +198,9 @@ def charts(trace: Trace) -> list[Markup]:
     if trace.task.hands == "gripper":
         grippers = action[:, command.GRIPPERS]
         travel = trace.grippers / GRIPPER.stroke
-        curves = [
-            curve
-            for hand, side in enumerate(g1.SIDES)
-            for curve in pair(side, grippers[:, hand], travel[:, hand], _HANDS[side])
-        ]
-        shown.append(drawn("grippers, 0 open, 1 closed", *curves))
+        curves = []
+        for hand, side in enumerate(g1.SIDES):
+            curves.append(Curve(name="", values=grippers[:, hand], colour=_HANDS[side], dashed=True))
+            curves.append(Curve(name=side, values=travel[:, hand], colour=_HANDS[side]))
+        shown.append(drawn("grippers, 0 open, 1 closed, dashed: commanded", *curves))
     return shown
