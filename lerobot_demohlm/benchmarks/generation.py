@@ -13,6 +13,7 @@ from typing import Any
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.writer import write_dataset
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
@@ -54,6 +55,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         "task": task.name,
         "region": region,
         "seed": seed,
+        "stamp": portability.stamp(task),
         "attempts": num_attempts,
         "successes": successes,
         "cpu_s_per_attempt": round(total / num_attempts, 3),
