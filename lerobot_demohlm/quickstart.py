@@ -149,15 +149,14 @@ def run(quickstart: Quickstart) -> Path:
                 f"Success in {region}, {where}: {100 * success['rate']:.0f} % "
                 f"(95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
             )
-        records = scored[quickstart.region]
+        rollouts = scored[quickstart.region]
 
     with _step(durations, 4, "Writing video and report"):
-        from lerobot_demohlm.reports.report import Film, render_report, write_video
+        from lerobot_demohlm.reports.films import Film, write_video
+        from lerobot_demohlm.reports.report import render_report
 
-        first = records[0]
-        caption = (
-            f"Rollout from seed {first['seed']}: {first['outcome'].replace('_', ' ')} after {first['length_s']:.1f} s"
-        )
+        first = rollouts[0]
+        caption = f"Rollout from seed {first.seed}: {first.outcome.replace('_', ' ')} after {first.length_s:.1f} s"
         film = Film(frames=recorder.frames, caption=caption)
         video = quickstart.root / "rollout.mp4" if film.frames else None
         if video is not None:
@@ -165,7 +164,7 @@ def run(quickstart: Quickstart) -> Path:
         page = render_report(
             title=f"{quickstart.task}: from one demonstration to a policy",
             facts=read_facts(dataset_root),
-            records=records,
+            rollouts=rollouts,
             films=[film] if film.frames else [],
             video=video,
             video_caption=caption,

@@ -14,6 +14,7 @@ from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
 from gym_demohlm.timing import PHYSICS_DT
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
@@ -59,6 +60,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         "task": task.name,
         "region": region,
         "seed": seed,
+        "stamp": portability.stamp(task),
         "attempts": num_attempts,
         "successes": successes,
         "cpu_s_per_attempt": round(total / num_attempts, 3),

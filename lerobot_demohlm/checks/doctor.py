@@ -19,8 +19,8 @@ from typing import Any
 from gym_demohlm.errors import DatasetError, SceneError
 from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm.checks import portability
-from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.reproducibility import provenance
+from lerobot_demohlm.reproducibility.results import append_result
 
 COMMAND = "demohlm doctor --append results/portability.jsonl"
 PACKAGES = (*provenance.LIBRARIES, "lerobot", "torch", "gymnasium", "lerobot_env_demohlm")
@@ -307,7 +307,7 @@ def run(options: DoctorOptions) -> int:
         write_digests(options.write)
         print(f"digests written to {options.write}")
     if options.append is not None:
-        lines.append(options.append, COMMAND, as_line(digests))
+        append_result(options.append, COMMAND, as_line(digests))
         print(f"a line added to {options.append}")
     wrong = sum(finding.level == WRONG for finding in findings)
     print("all well" if wrong == 0 else f"{wrong} to be mended: see WRONG above")

@@ -78,6 +78,12 @@ VERBS = (
         example="demohlm generate --task LiftBox --region R3 --num-episodes 100 --num-workers 2 --root data/lift_box",
     ),
     Verb(
+        name="card",
+        group="data",
+        help="write a dataset's card into the folder of ready cards, or render all of them again",
+        example="demohlm card --root data/lift_box --repo-id USER/lift_box",
+    ),
+    Verb(
         name="push",
         group="data",
         help="upload a dataset to the Hugging Face hub",
@@ -134,8 +140,8 @@ VERBS = (
     Verb(
         name="results",
         group="reports",
-        help="turn the measured results of this repository into tables",
-        example="demohlm results",
+        help="turn the measured results of this repository into docs/results.md and the README's table",
+        example="demohlm results --output docs/results.md --readme README.md",
     ),
     Verb(
         name="benchmark",

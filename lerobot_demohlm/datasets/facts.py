@@ -33,6 +33,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm.datasets.variation import DataVariation
@@ -167,7 +168,7 @@ def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, 
     """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
     content = facts.content() | {"code_hash": provenance.code_hash()} | count_attempts(records)
     (root / FACTS_PATH).write_text(json.dumps(content, indent=2) + "\n")
-    (root / ATTEMPTS_PATH).write_text("".join(json.dumps(record) + "\n" for record in records))
+    jsonl.write(root / ATTEMPTS_PATH, records)
     return content
 
 
@@ -238,11 +239,8 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     Raises:
         DatasetError: There is no such file, or it is damaged.
     """
-    try:
-        records = [json.loads(line) for line in path.read_text().splitlines()]
-        sound = all(is_record(record) for record in records)
-    except (OSError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
-    if not sound:
-        raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")
+    records = jsonl.read(path)
+    for number, record in enumerate(records, start=1):
+        if not is_record(record):
+            raise DatasetError(f"{path}:{number}, damaged", "an attempt", "generate the dataset again")
     return records

@@ -1,4 +1,8 @@
-"""Episodes -> the files of a LeRobot v3 dataset, and back to arrays."""
+"""Episodes -> the files of a LeRobot v3 dataset, and back to arrays.
+
+Mirrors ``LeRobotDataset.add_frame`` and ``save_episode`` of LeRobot 0.6.1.
+``tests/lerobot_demohlm/datasets/test_dataset.py`` compares the files: it fails where a later LeRobot writes otherwise.
+"""
 
 import functools
 from collections.abc import Iterator, Sequence
