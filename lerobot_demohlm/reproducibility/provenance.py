@@ -4,7 +4,6 @@ import functools
 import hashlib
 import importlib.metadata
 import platform
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import numpy as np
 
 import gym_demohlm
 from gym_demohlm.control.whole_body import Weights
-from gym_demohlm.task import Task
 
 LIBRARIES = ("mujoco", "numpy", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
@@ -102,8 +100,3 @@ def bit_differences(then: Mapping[str, str], now: Mapping[str, str] | None = Non
         elif (kind_of_processor(known) if name == "cpu" else known) != value:
             lines.append(f"{name} {known} then, {value} now")
     return tuple(lines)
-
-
-def file_name(task: Task) -> str:
-    """Return a task's name as files have it: ``LiftBox`` -> ``lift_box``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", task.name).lower()
