@@ -1,7 +1,7 @@
 """``demohlm generate``."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +36,7 @@ class Options(GenerationRequest):
     num_attempts: Annotated[int | None, _TARGET, default("none")] = None
     demonstration: Annotated[Path | None, default("the packaged one")] = None
     repo_id: Annotated[str | None, default("made from task and region")] = None
-    variation: tyro.conf.OmitArgPrefixes[DataVariation] = DataVariation()
+    variation: tyro.conf.OmitArgPrefixes[DataVariation] = field(default_factory=DataVariation)
     block_size: tyro.conf.Suppress[tyro.conf.Fixed[int]] = BLOCK_SIZE
     show_progress: tyro.conf.Suppress[tyro.conf.Fixed[bool]] = True
 

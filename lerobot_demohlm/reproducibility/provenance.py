@@ -13,7 +13,7 @@ import numpy as np
 import gym_demohlm
 from gym_demohlm.control.whole_body import Weights
 
-LIBRARIES = ("mujoco", "numpy", "placo", "eigenpy")
+LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
 _FMA_FLAGS = ("fma", "avx2", "avx512f", "asimd", "sve")  # of /proc/cpuinfo; each implies fused multiply-add
 

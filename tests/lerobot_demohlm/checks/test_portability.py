@@ -23,6 +23,11 @@ if cpu_features["AVX512_SKX"]:
     _CORES["skylakex"] = {"OPENBLAS_CORETYPE": "SkylakeX"}
 if not _AVX512:
     del _LESS["no_avx512"]
+_COMPILED = {
+    "compiled_for_haswell": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""},
+    "compiled_for_any": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+}
+_ENVIRONMENTS = {**_CORES, **_LESS, **_COMPILED}
 _CODE = "import json; from lerobot_demohlm.checks import portability; print(json.dumps(portability.parts()))"
 
 same_versions = pytest.mark.skipif(
@@ -35,9 +40,9 @@ def here() -> dict[str, str]:
     return portability.parts()
 
 
-@pytest.mark.parametrize("environment", [*_CORES, *_LESS])
+@pytest.mark.parametrize("environment", _ENVIRONMENTS)
 def test_other_code_paths_give_the_same_bits(environment: str, here: dict[str, str]) -> None:
-    changed = os.environ | {**_CORES, **_LESS}[environment]
+    changed = os.environ | _ENVIRONMENTS[environment]
     out = subprocess.run([sys.executable, "-c", _CODE], env=changed, capture_output=True, text=True, check=True).stdout
     assert json.loads(out.splitlines()[-1]) == here
 
