@@ -36,9 +36,10 @@ from lerobot_demohlm.datasets import origin, reader
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import installed_versions, read_facts
 from lerobot_demohlm.datasets.reader import ACTION, ENVIRONMENT_STATE, STATE, SUCCESS, StoredEpisode
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.stages import chosen_settings
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import fingerprint, provenance
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 from lerobot_demohlm.reproducibility.processes import end_with_parent
@@ -307,9 +308,8 @@ class _Bench:
                     f"{facts['demonstration_hash'][:12]}, which the run was made from",
                     "name its directory with --demonstration",
                 )
-            attempts = Attempts(
-                self._task, source, facts["region"], facts["seed"], settings=chosen_settings(facts), sim=self._sim
-            )
+            settings = Settings(variation=DataVariation.read(facts))
+            attempts = Attempts(self._task, source, facts["region"], facts["seed"], settings=settings, sim=self._sim)
             again = attempts.run([entry.attempt for entry in chosen])
             found += [
                 compare_again(self._task, entry, made, self._request.bounded)

@@ -8,7 +8,7 @@ Episodes that were deleted, split off or merged can thus be verified and explain
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def columns(facts: GenerationFacts, record: Mapping[str, Any]) -> dict[str, Any]
         facts: Of the run.
         record: ``Episode.record()``.
     """
-    run = asdict(facts) | {"code_hash": provenance.code_hash()}
+    run = facts.content() | {"code_hash": provenance.code_hash()}
     text = json.dumps({"facts": run, "record": record}, separators=(",", ":")).encode()
     if len(text) > SIZE:  # a task of very many words or objects: its edited datasets say that nothing is known
         text = b""

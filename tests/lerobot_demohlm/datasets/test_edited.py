@@ -1,6 +1,5 @@
 """Datasets that ``lerobot-edit-dataset`` makes of ours name their runs: they are verified and explained as before."""
 
-import dataclasses
 import json
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from lerobot_demohlm.datasets import origin, reader, writer
 from lerobot_demohlm.datasets.facts import GenerationFacts, write_facts
 from lerobot_demohlm.datasets.hub import push
 from lerobot_demohlm.datasets.in_memory import InMemoryDataset
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
@@ -44,10 +44,13 @@ def generate(root: Path, seed: int, num_attempts: int, noise: float) -> Path:
         demonstration_hash=demonstration.content_hash,
         controller_hash=provenance.controller_hash(),
         model_hash=provenance.model_hash(build_scene(TASK).model),
+        num_episodes=None,
         num_attempts=num_attempts,
-        command_noise=noise,
+        block_size=8,
+        keep_failures=False,
+        variation=DataVariation(command_noise=noise),
     )
-    settings = Settings(command_noise=noise)
+    settings = Settings(variation=facts.variation)
     attempts = Attempts(TASK, demonstration, "R1", seed, num_worlds=num_attempts, settings=settings)
     run = GenerationRun.open(root, "user/lift", facts)
     for block in run.pending_blocks():
@@ -76,7 +79,7 @@ def test_an_episode_names_its_origin(tmp_path: Path) -> None:
     found = origin.read_origins(root)
     assert list(found) == [0, 1]
     assert found[1].record == make_episode(1).record()
-    assert found[0].facts == dataclasses.asdict(make_facts(seed=7)) | {"code_hash": provenance.code_hash()}
+    assert found[0].facts == make_facts(seed=7).content() | {"code_hash": provenance.code_hash()}
     for name in (origin.FACTS_PATH, origin.ATTEMPTS_PATH):
         (root / name).unlink()
     assert origin.is_generated(root) and origin.is_edited(root)
