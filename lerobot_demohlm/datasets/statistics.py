@@ -4,8 +4,8 @@ LeRobot counts each dimension's frames in a histogram of 5000 bins and reads fiv
 dimension after the other. The same numbers follow from the sorted frames: a quantile needs the two edges of its bin
 alone, and these are found by bisection.
 
-Mirrors ``lerobot.datasets.compute_stats`` of LeRobot 0.6.1. ``tests/lerobot_demohlm/datasets/test_dataset.py`` compares
-the two bit for bit: it fails where a later LeRobot counts otherwise.
+Mirrors ``lerobot.datasets.compute_stats`` of LeRobot 0.6.1. ``tests/lerobot_demohlm/benchmarks/test_benchmark.py``
+compares the two bit for bit: it fails where a later LeRobot counts otherwise.
 """
 
 from collections.abc import Mapping

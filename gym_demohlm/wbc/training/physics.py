@@ -72,7 +72,12 @@ class RolloutPhysics:
 def make_physics(
     models: Sequence[mujoco.MjModel], num_worlds: int, substeps: int, *, num_threads: int, warp_device: str | None
 ) -> Physics:
-    """Return mujoco_warp on ``warp_device``, or mujoco.rollout where that is None."""
+    """Return mujoco_warp on ``warp_device``, or mujoco.rollout where that is None.
+
+    Raises:
+        SceneError: The models cannot share worlds, or there is no such device.
+    """
+    check_models(models)
     if warp_device is None:
         return RolloutPhysics(models, num_worlds, num_threads)
     from gym_demohlm.wbc.training.warp_physics import WarpPhysics  # slow to import, and no use without a GPU

@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 
 from gym_demohlm.errors import SceneError
-from gym_demohlm.wbc.training.physics import check_models
 
 _ROWS_PER_CONTACT = 4  # of a pyramidal friction cone in three dimensions
 _UNUSED = ("dof_length",)  # shared, differ with the masses, and are read for bodies that may sleep alone: none may
@@ -23,8 +22,8 @@ class WarpPhysics:
     """N worlds on a device of warp.
 
     Args:
-        models: Randomised models; they may differ in what mujoco_warp keeps for each world: masses, inertias, friction,
-            gains, not in sizes or options.
+        models: Randomised models that ``physics.check_models`` accepts; they may differ in what mujoco_warp keeps for
+            each world: masses, inertias, friction, gains, not in sizes or options.
         num_worlds: N.
         substeps: Physics steps a control tick, recorded as one CUDA graph.
         device: ``cuda``, ``cuda:1``, ..., ``cpu``.
@@ -34,7 +33,6 @@ class WarpPhysics:
     """
 
     def __init__(self, models: Sequence[mujoco.MjModel], num_worlds: int, substeps: int, device: str = "cuda") -> None:
-        check_models(models)
         self._device = _device(device)
         first = models[0]
         self._nq = first.nq
