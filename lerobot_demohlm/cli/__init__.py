@@ -16,7 +16,7 @@ from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 INTERRUPTED = 130  # exit code of a process that was stopped from the keyboard
 SHELLS = ("bash", "zsh")
 # Modules that come with an extra of the distribution.
-_EXTRAS = {"rsl_rl": "wbc", "av": "wbc", "ray": "ray"}
+_EXTRAS = {"rsl_rl": "wbc", "tensordict": "wbc", "warp": "wbc", "mujoco_warp": "wbc", "av": "wbc", "ray": "ray"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

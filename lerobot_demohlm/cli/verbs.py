@@ -96,6 +96,12 @@ VERBS = (
         example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
     ),
     Verb(
+        name="doctor",
+        group="checks",
+        help="look at this machine: versions, graphics, room, and whether it computes the packaged bits",
+        example="demohlm doctor",
+    ),
+    Verb(
         name="verify",
         group="checks",
         help="simulate episodes of a dataset again and compare them with it, bit for bit",
