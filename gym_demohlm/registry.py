@@ -3,6 +3,7 @@
 import functools
 import importlib
 import pkgutil
+from pathlib import Path
 
 import gymnasium as gym
 
@@ -46,10 +47,9 @@ def register_task(task: Task) -> Task:
 
 @functools.cache
 def _load_task_files() -> None:
-    from gym_demohlm import tasks
-
-    for module in sorted(entry.name for entry in pkgutil.iter_modules(tasks.__path__)):
-        register_task(importlib.import_module(f"{tasks.__name__}.{module}").TASK)
+    folder = Path(__file__).parent / "tasks"  # found by name: task files import what is below them, this included
+    for module in sorted(entry.name for entry in pkgutil.iter_modules([str(folder)])):
+        register_task(importlib.import_module(f"gym_demohlm.tasks.{module}").TASK)
 
 
 def all_tasks() -> dict[str, Task]:

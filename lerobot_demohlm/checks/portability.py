@@ -7,9 +7,7 @@ The digests that this version of the code has are in ``digests.json``, with the 
 
 import functools
 import hashlib
-import importlib.metadata
 import json
-import platform
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -30,8 +28,6 @@ from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import provenance
 
 PACKAGED = Path(__file__).parent / "digests.json"
-PACKAGES = ("mujoco", "numpy", "placo", "eigenpy")
-"""Libraries whose version decides bits; the C library is the other one."""
 _TICKS, _WORLDS, _SOLUTIONS, _STEPS = 60, 5, 40, 10
 _PROBE = "LiftBox"  # the task of the parts
 _ATTEMPTS = 2  # of a behaviour
@@ -77,12 +73,6 @@ def stamp(task: Task) -> str:
     return (known or behaviour(task))[:8]
 
 
-def versions() -> dict[str, str]:
-    """Return what decides bits besides this package's code: versions of libraries, kind of machine."""
-    found = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {**found, "libc": " ".join(platform.libc_ver()).strip() or "unknown", "machine": platform.machine()}
-
-
 def packaged() -> dict[str, Any]:
     """Return what ``digests.json`` holds: ``versions``, ``parts`` and, by task, ``tasks``.
 
@@ -91,7 +81,9 @@ def packaged() -> dict[str, Any]:
     """
     try:
         content = json.loads(PACKAGED.read_text())
-        return {key: dict(content[key]) for key in ("versions", "parts", "tasks")}
+        found = {key: dict(content[key]) for key in ("versions", "parts", "tasks")}
+        machine = found["versions"].pop("machine", None)  # of files that named the architecture alone
+        return found if machine is None else found | {"versions": found["versions"] | {"cpu": f"{machine} with FMA"}}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{PACKAGED.name} that cannot be read ({error})", "digests", "reinstall the package"
@@ -100,12 +92,7 @@ def packaged() -> dict[str, Any]:
 
 def differing_versions() -> tuple[str, ...]:
     """Return what differs between this machine's versions and those of the packaged digests, a line each."""
-    return compare_versions(packaged()["versions"], versions())
-
-
-def compare_versions(then: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
-    """Return what differs between two results of ``versions``, a line each."""
-    return tuple(f"{name} {then.get(name)} then, {now[name]} now" for name in now if then.get(name) != now[name])
+    return provenance.bit_differences(packaged()["versions"])
 
 
 def _digest(content: Iterable[bytes]) -> str:

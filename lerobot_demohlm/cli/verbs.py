@@ -48,6 +48,12 @@ VERBS = (
         example="demohlm quickstart",
     ),
     Verb(
+        name="doctor",
+        group="begin here",
+        help="look at this machine: versions, graphics, room, and whether it computes the packaged bits",
+        example="demohlm doctor",
+    ),
+    Verb(
         name="record",
         group="demonstrations",
         help="record a demonstration with the task's scripted operator",
@@ -94,12 +100,6 @@ VERBS = (
         group="policies",
         help="run what is missing of one of the paper's tables: generate, train, roll out",
         example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
-    ),
-    Verb(
-        name="doctor",
-        group="checks",
-        help="look at this machine: versions, graphics, room, and whether it computes the packaged bits",
-        example="demohlm doctor",
     ),
     Verb(
         name="verify",

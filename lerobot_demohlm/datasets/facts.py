@@ -1,7 +1,7 @@
 """A generation run -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
-What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py`` and
-``generation_block.py``, which import lerobot only where they write or merge, through ``dataset_files.py``):
+What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation/run.py`` and
+``generation/block.py``, which import lerobot only where they write or merge, through ``datasets/writer.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
@@ -52,13 +52,16 @@ _RECORD_TYPES = {
     **dict.fromkeys(("stage_s", "initial_state"), dict),
     "length_s": float | int,
 }
-_RECORDED_PACKAGES = ("lerobot_env_demohlm", "lerobot", "mujoco", "numpy", "placo", "torch")
+_RECORDED_PACKAGES = ("lerobot_env_demohlm", "lerobot", "torch")
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of what decides, bit for bit, what an episode is: packages, Python, family of processors."""
+    """Return what a dataset records of the installation: packages, Python, C library, kind of processor.
+
+    ``provenance.bit_versions`` names those among them that decide bits.
+    """
     versions = {name: importlib.metadata.version(name) for name in _RECORDED_PACKAGES}
-    return versions | {"python": platform.python_version(), "cpu": provenance.cpu_family()}
+    return versions | {"python": platform.python_version()} | provenance.bit_versions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,14 +176,31 @@ def read_attempts(root: Path) -> list[dict[str, Any]]:
     """
     path = Path(root) / ATTEMPTS_PATH
     records = read_records(path)
+    check_records(records, str(path))
+    return records
+
+
+def check_records(records: Iterable[dict[str, Any]], source: str) -> None:
+    """Raise ``DatasetError`` where a record lacks what this version keeps of an attempt.
+
+    Args:
+        records: What ``Episode.record`` gave.
+        source: Where they were read, for the message.
+    """
     wrong = {
         name for record in records for name, kind in _RECORD_TYPES.items() if not isinstance(record.get(name), kind)
     }
     if wrong:
         raise DatasetError(
-            f"{path} without {', '.join(sorted(wrong))}", "attempts as this version keeps them", "generate them again"
+            f"{source} without {', '.join(sorted(wrong))}", "attempts as this version keeps them", "generate them again"
         )
-    return records
+
+
+def is_record(value: object) -> bool:
+    """Tell whether a value read from a file has an attempt's index, its frames and its outcome."""
+    if not isinstance(value, dict) or value.get("outcome") not in OUTCOMES:
+        return False
+    return all(type(count) is int and count >= 0 for count in (value.get("attempt"), value.get("frames")))
 
 
 def read_records(path: Path) -> list[dict[str, Any]]:
@@ -191,12 +211,8 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     try:
         records = [json.loads(line) for line in path.read_text().splitlines()]
-        sound = all(isinstance(record, dict) for record in records) and all(
-            record["outcome"] in OUTCOMES
-            and all(type(record[key]) is int and record[key] >= 0 for key in ("attempt", "frames"))
-            for record in records
-        )
-    except (OSError, ValueError, KeyError, RecursionError) as error:
+        sound = all(is_record(record) for record in records)
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
     if not sound:
         raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")

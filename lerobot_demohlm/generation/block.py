@@ -69,7 +69,7 @@ def write_block(directory: Path, facts: GenerationFacts, attempts: range, episod
             if chosen:
                 from lerobot_demohlm.datasets import writer  # takes seconds, and not every process writes
 
-                writer.write_dataset(temporary / name, "local/block", chosen)
+                writer.write_dataset(temporary / name, "local/block", chosen, facts)
         (temporary / MANIFEST).write_text(json.dumps(_manifest(temporary, facts, attempts), indent=2) + "\n")
 
 

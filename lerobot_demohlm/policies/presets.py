@@ -207,6 +207,7 @@ def train_config(
     seed: int = 0,
     num_episodes: int | None = None,
     device: str = "cpu",
+    batch_size: int | None = None,
 ) -> "TrainPipelineConfig":
     """Return what ``lerobot-train`` is to be given.
 
@@ -219,6 +220,7 @@ def train_config(
         seed: Of the weights and of the order of the samples.
         num_episodes: Train on so many episodes from the first on; on all by default.
         device: Where it is trained.
+        batch_size: Samples a step; the preset's by default.
 
     Raises:
         UnknownNameError: No such policy or preset.
@@ -243,7 +245,7 @@ def train_config(
         policy=config,
         output_dir=output,
         steps=steps,
-        batch_size=chosen.batch_size,
+        batch_size=chosen.batch_size if batch_size is None else batch_size,
         num_workers=0,  # a batch from memory is made sooner than handed over by another process
         save_freq=0,  # the last checkpoint only
         env_eval_freq=0,
