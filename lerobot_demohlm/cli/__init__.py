@@ -15,7 +15,7 @@ from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 INTERRUPTED = 130  # exit code of a process that was stopped from the keyboard
 SHELLS = ("bash", "zsh")
-EXTRAS = {"rsl_rl": "wbc", "tensordict": "wbc", "warp": "wbc", "mujoco_warp": "wbc", "av": "wbc", "ray": "ray"}
+EXTRAS = {"rsl_rl": "wbc", "tensordict": "wbc", "warp": "wbc", "mujoco_warp": "wbc", "ray": "ray"}
 """Modules that come with an extra of the distribution."""
 
 
