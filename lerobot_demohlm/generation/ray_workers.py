@@ -14,6 +14,7 @@ from uuid import uuid4
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.generation.block import pack_block, unpack_block
 from lerobot_demohlm.generation.workers import Done, Make
+from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # else `uv run` has Ray send this directory to every node
 
@@ -83,6 +84,7 @@ _kept: dict[str, Make] = {}
 
 def _make_block(key: str, make: Make, attempts: range) -> dict[str, bytes]:
     """Make a block in a scratch directory and return its files."""
+    hush_torchcodec()
     if key not in _kept:
         _kept.clear()
         _kept[key] = make
