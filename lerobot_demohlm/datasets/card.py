@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from lerobot.datasets import LeRobotDatasetMetadata
 
-TEMPLATE = "generated.md.j2"
+TEMPLATE = "card.md.j2"
 
 
 def render_card(meta: LeRobotDatasetMetadata, repo_id: str, facts: dict[str, Any]) -> str:
