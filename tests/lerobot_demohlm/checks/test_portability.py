@@ -22,7 +22,7 @@ if cpu_features["AVX512_SKX"]:
     _CORES["skylakex"] = {"OPENBLAS_CORETYPE": "SkylakeX"}
 if not _AVX512:
     del _LESS["no_avx512"]
-_CODE = "import json; from lerobot_demohlm import portability; print(json.dumps(portability.parts()))"
+_CODE = "import json; from lerobot_demohlm.checks import portability; print(json.dumps(portability.parts()))"
 
 same_versions = pytest.mark.skipif(
     bool(portability.differing_versions()), reason="other libraries than the packaged digests have: bits may differ"
