@@ -3,7 +3,9 @@
 One small picture per task shows its decisive moment. One film shows an episode of LiftBox as it was generated and, next
 to it, a policy that learned the task. Draw them again with
 
-    python -m lerobot_demohlm.reports.readme_pictures --policy outputs/quickstart/train/checkpoints/last/pretrained_model
+    python -m lerobot_demohlm.reports.readme_pictures --policy PRETRAINED_MODEL
+
+where the policy may be the one of `demohlm quickstart`, in `outputs/quickstart/train/checkpoints/last/pretrained_model`.
 """
 
 from collections.abc import Sequence
@@ -76,7 +78,7 @@ class Moment:
     """
 
     share: float
-    view: View = View()  # noqa: RUF009  (frozen)
+    view: View = View()
 
 
 MOMENTS = {
