@@ -5,7 +5,7 @@ to it, a policy that learned the task. Draw them again with
 
     python -m lerobot_demohlm.reports.readme_pictures --policy PRETRAINED_MODEL
 
-where the policy may be the one of `demohlm quickstart`, in `outputs/quickstart/train/checkpoints/last/pretrained_model`.
+where the policy may be that of the quickstart, ``outputs/quickstart/train/checkpoints/last/pretrained_model``.
 """
 
 from collections.abc import Sequence
