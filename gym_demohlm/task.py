@@ -67,7 +67,7 @@ class Region:
         return {"robot": [x, y, yaw], "object": [dy, dz, dyaw]}
 
     def widened(self, factor: float) -> "Region":
-        """Return the region with wider ranges of the robot's pose; x widens only away from the objects, whose ranges stay.
+        """Return the region with wider ranges of the robot's pose, x only away from the objects, whose ranges stay.
 
         Args:
             factor: Factor of the ranges' lengths; 1 returns the region itself.
