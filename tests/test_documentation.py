@@ -130,4 +130,6 @@ def test_commands_run(page: Path, tmp_path: Path) -> None:
     (work / "examples").symlink_to(REPOSITORY / "examples")
     environment = documented.install_stand_ins(tmp_path / "bin")
     done = subprocess.run(["bash", "-e"], input=code, cwd=work, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, f"{page.name}: {done.stderr[-6000:]}"
+    assert done.returncode == 0, "\n".join(
+        line for line in done.stderr.splitlines() if re.match(r"\$ |error|\w*Error", line)
+    )

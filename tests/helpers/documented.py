@@ -15,6 +15,7 @@ ADDRESS = "ADDRESS_OF_THIS_REPOSITORY"  # in the README; tests clone this checko
 SMALL = {
     "--num-episodes": "3",
     "--num-attempts": "3",
+    "--attempt": "1",
     "--num-videos": "1",
     "--sample": "2",
     "--sizes": "3",
