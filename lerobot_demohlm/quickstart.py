@@ -1,6 +1,5 @@
 """Nothing -> a dataset, a policy trained on it, its score, a video and a report, in ten minutes on two cores."""
 
-import argparse
 import logging
 import os
 import sys
@@ -183,25 +182,3 @@ def _quiet() -> Iterator[None]:
 
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm quickstart``."""
-    standard = Quickstart(root=Path("outputs/quickstart"))
-    parser.add_argument("--root", type=Path, default=standard.root, help="must not exist (default: %(default)s)")
-    parser.add_argument("--task", default=standard.task, help="name of the task (default: %(default)s)")
-    parser.add_argument("--region", default=standard.region, help="initial region (default: %(default)s)")
-    for name, text in (
-        ("num_episodes", "episodes to generate"),
-        ("steps", f"training steps of {BATCH_SIZE} samples"),
-        ("num_rollouts", "rollouts to score"),
-        ("num_workers", "processes that generate, threads that roll out"),
-        ("seed", "of generation and training"),
-    ):
-        option = f"--{name.replace('_', '-')}"
-        parser.add_argument(option, type=int, default=getattr(standard, name), help=f"{text} (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run the quickstart; the last line on stdout is the path of the report."""
-    print(run(Quickstart(**vars(arguments))))

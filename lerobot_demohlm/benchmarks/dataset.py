@@ -4,7 +4,6 @@ Both write the same episodes, in turns; every column, statistic and entry of the
 thousands of episodes goes through the blocks of ``demohlm generate`` and their merge.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -16,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
-from datasets import disable_progress_bars
 from lerobot.datasets import LeRobotDataset
 
 from gym_demohlm.control import command
@@ -162,24 +160,3 @@ def _resident_mb() -> float:
     """Return the memory that this process holds now [MiB]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark dataset``."""
-    parser.add_argument("--rounds", type=int, default=4, help=f"turns of {BLOCK} episodes each (default: %(default)s)")
-    parser.add_argument("--run-episodes", type=int, default=5000, help="of the long run; 0 leaves it out (%(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON.
-
-    Raises:
-        DatasetError: A count that makes no sense, or a difference to LeRobot's files.
-    """
-    if arguments.rounds < 1 or arguments.run_episodes < 0:
-        raise DatasetError(
-            f"rounds={arguments.rounds}, run_episodes={arguments.run_episodes}", "1 and 0 or more", "correct them"
-        )
-    disable_progress_bars()  # LeRobot's image step would draw one an episode
-    memory = measure_memory(arguments.run_episodes) if arguments.run_episodes else {}
-    print(json.dumps(measure_speed(arguments.rounds) | memory))

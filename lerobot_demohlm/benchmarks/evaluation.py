@@ -1,6 +1,5 @@
 """A policy -> rollouts an hour by ``lerobot-eval`` as a user calls it and by ``demohlm evaluate``, same seeds."""
 
-import argparse
 import json
 import subprocess
 import sys
@@ -15,9 +14,9 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
-from gym_demohlm.task import DEFAULT_REGION, Task
+from gym_demohlm.task import Task
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
-from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting, load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
 
 
 def write_standing_policy(path: Path, task: Task) -> Path:
@@ -107,33 +106,3 @@ def measure(
         "compared": len(both),
         "agreeing": sum(one == other for one, other in both),
     }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark evaluation``."""
-    parser.add_argument("--policy", type=Path, help="a pretrained_model directory (default: one that stands still)")
-    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
-    parser.add_argument("--region", default=DEFAULT_REGION, help="initial region (default: %(default)s)")
-    parser.add_argument("--num-episodes", type=int, default=4 * NUM_WORLDS, help="rollouts (default: %(default)s)")
-    parser.add_argument("--num-lerobot-episodes", type=int, default=50, help="its rollouts (default: %(default)s)")
-    parser.add_argument("--lerobot-batch-size", type=int, help="its worlds at a time (default: LeRobot's choice)")
-    parser.add_argument("--num-workers", type=int, default=2, help="processes (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON.
-
-    Raises:
-        PolicyError: The policy does not fit, or a count is not positive.
-    """
-    import torch
-
-    for name in ("num_episodes", "num_lerobot_episodes"):
-        if getattr(arguments, name) < 1:
-            raise PolicyError(f"{name}={getattr(arguments, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
-    setting = Setting(task=arguments.task, region=arguments.region, num_workers=arguments.num_workers)
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as scratch:
-        policy = arguments.policy or write_standing_policy(Path(scratch) / "pretrained_model", get_task(arguments.task))
-        counts = (arguments.num_episodes, arguments.num_lerobot_episodes, arguments.lerobot_batch_size)
-        print(json.dumps(measure(policy, setting, *counts)))

@@ -4,16 +4,12 @@ All that a worker does is counted: commands, inverse kinematics, controller, phy
 as LeRobot datasets. Compiling the scene and loading the demonstration, once a worker, are not.
 """
 
-import argparse
-import json
 import resource
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-from gym_demohlm.errors import DatasetError
-from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
@@ -74,25 +70,3 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
 def _peak_mb() -> float:
     """Return the largest memory that this process has held so far [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark generation``."""
-    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
-    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the run (default: %(default)s)")
-    parser.add_argument("--num-attempts", type=int, default=16, help="how many (default: %(default)s)")
-    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON.
-
-    Raises:
-        DatasetError: The number of attempts is not positive.
-    """
-    if arguments.num_attempts < 1:
-        raise DatasetError(f"num_attempts={arguments.num_attempts}", "1 or more", "correct --num-attempts")
-    task = get_task(arguments.task)
-    found = measure(task, arguments.region, arguments.seed, arguments.num_attempts, arguments.demonstration)
-    print(json.dumps(found))

@@ -1,8 +1,5 @@
 """A dataset -> samples a second from LeRobot's loader and from memory, measured in turns in one process."""
 
-import argparse
-import json
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +9,6 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
-from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets.facts import GenerationFacts, write_facts
@@ -104,31 +100,3 @@ def measure(root: Path, *, chunk: int, batch_size: int, rounds: int, batches: in
         "ratio": round(samples["memory"] / seconds["memory"] / (samples["lerobot"] / seconds["lerobot"]), 1),
         "ratio_of_cpu_time": round(per_cpu_second["memory"] / per_cpu_second["lerobot"], 1),
     }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark loading``."""
-    parser.add_argument("--root", type=Path, help="dataset of `demohlm generate` (default: one of random numbers)")
-    parser.add_argument("--num-episodes", type=int, default=100, help="of random numbers (default: %(default)s)")
-    parser.add_argument("--chunk", type=int, default=20, help="actions a sample (default: %(default)s)")
-    parser.add_argument("--batch-size", type=int, default=512, help="samples a batch (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=3, help="turns of both (default: %(default)s)")
-    parser.add_argument("--batches", type=int, default=20, help="from memory, a turn (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON.
-
-    Raises:
-        DatasetError: A count is not positive.
-    """
-    counts = {name: getattr(arguments, name) for name in ("chunk", "batch_size", "rounds", "batches")}
-    for name, value in {**counts, "num_episodes": arguments.num_episodes}.items():
-        if value < 1:
-            raise DatasetError(f"{name}={value}", "1 or more", f"correct --{name.replace('_', '-')}")
-    with tempfile.TemporaryDirectory() as scratch:
-        root = arguments.root
-        if root is None:
-            root = Path(scratch) / "random"
-            write_random_dataset(root, arguments.num_episodes)
-        print(json.dumps(measure(root, **counts)))

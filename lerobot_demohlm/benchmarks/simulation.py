@@ -5,15 +5,12 @@ controller, gaze, contact forces and poses; and by handing the very same states 
 which is ``mj_step`` in a loop in C, on as many threads. Both must end in the same bits.
 """
 
-import argparse
-import json
 import time
 from typing import Any
 
 import numpy as np
 
 from gym_demohlm.errors import SceneError
-from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
@@ -84,15 +81,3 @@ def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
         "mj_steps_per_s": round(steps / seconds["mj_step"]),
         "step_efficiency": round(seconds["mj_step"] / seconds["simulation"], 4),
     }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark simulation``."""
-    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
-    parser.add_argument("--num-worlds", type=int, default=8, help="stepped together (default: %(default)s)")
-    parser.add_argument("--num-threads", type=int, default=1, help="of the physics (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON."""
-    print(json.dumps(measure(get_task(arguments.task), arguments.num_worlds, arguments.num_threads)))

@@ -1,7 +1,6 @@
 """All benchmarks of simulation, generation and dataset in one run -> one JSON object with the numbers that count."""
 
-import argparse
-import json
+from typing import Any
 
 from datasets import disable_progress_bars
 
@@ -9,25 +8,26 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks import dataset, generation, simulation
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark``."""
-    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
-    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
-    parser.add_argument("--num-attempts", type=int, default=16, help="of generation (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=2, help="turns of writing (default: %(default)s)")
+def measure(task: str, region: str, num_attempts: int, rounds: int) -> list[dict[str, Any]]:
+    """Return what the benchmarks of simulation, generation and dataset return, in this order.
 
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; the last line on stdout is the result as JSON, those before it the details."""
+    Args:
+        task: Name of the task.
+        region: Initial region.
+        num_attempts: Attempts of generation.
+        rounds: Turns of writing.
+    """
     disable_progress_bars()
-    task = get_task(arguments.task)
-    parts = [
-        simulation.measure(task, num_worlds=8, num_threads=1),
-        generation.measure(task, arguments.region, 0, arguments.num_attempts),
-        dataset.measure_speed(arguments.rounds),
+    found = get_task(task)
+    return [
+        simulation.measure(found, num_worlds=8, num_threads=1),
+        generation.measure(found, region, 0, num_attempts),
+        dataset.measure_speed(rounds),
     ]
-    for part in parts:
-        print(json.dumps(part))
+
+
+def summary(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the numbers that count, of what ``measure`` returned."""
     every = {name: value for part in parts for name, value in part.items()}
     chosen = ("task", "step_efficiency", "mj_step_share", "episodes_per_hour_per_core", "write_speedup")
-    print(json.dumps({name: every[name] for name in chosen}))
+    return {name: every[name] for name in chosen}

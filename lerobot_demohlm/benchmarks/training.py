@@ -1,7 +1,5 @@
 """Presets -> samples a second of ``lerobot-train``, with data in memory and as LeRobot reads them, in turn."""
 
-import argparse
-import json
 import os
 import re
 import subprocess
@@ -10,10 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from gym_demohlm.errors import DatasetError, PolicyError
-from lerobot_demohlm.benchmarks.loading import write_random_dataset
+from gym_demohlm.errors import PolicyError
 from lerobot_demohlm.datasets.in_memory import SWITCH
-from lerobot_demohlm.policies.presets import NAMES, POLICIES, train_config
+from lerobot_demohlm.policies.presets import train_config
 from lerobot_demohlm.policies.training import write_config
 
 LEROBOT_NUM_WORKERS = 4  # processes that load, by LeRobot's default; what is in memory needs none
@@ -68,31 +65,3 @@ def measure(root: Path, policy: str, preset: str, steps: int) -> dict[str, Any]:
         "samples_per_s": ours,
         "ratio": round(ours / theirs, 2),
     }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark training``."""
-    parser.add_argument("--root", type=Path, help="dataset of `demohlm generate` (default: one of random numbers)")
-    parser.add_argument("--num-episodes", type=int, default=100, help="of random numbers (default: %(default)s)")
-    parser.add_argument("--policies", nargs="+", default=POLICIES, choices=POLICIES, help="which (default: all)")
-    parser.add_argument("--preset", default="cpu", choices=NAMES, help="hyperparameters (default: %(default)s)")
-    parser.add_argument("--steps", type=int, default=60, help="the second half counts (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Measure; a JSON line a policy on stdout.
-
-    Raises:
-        DatasetError: A count is too small.
-        PolicyError: A training failed.
-    """
-    for name, least in (("num_episodes", 1), ("steps", 2)):
-        if (value := getattr(arguments, name)) < least:
-            raise DatasetError(f"{name}={value}", f"{least} or more", f"correct --{name.replace('_', '-')}")
-    with tempfile.TemporaryDirectory() as scratch:
-        root = arguments.root
-        if root is None:
-            root = Path(scratch) / "random"
-            write_random_dataset(root, arguments.num_episodes)
-        for policy in arguments.policies:
-            print(json.dumps(measure(root, policy, arguments.preset, arguments.steps)), flush=True)

@@ -8,13 +8,9 @@ things may be inside each other for an instant by as much as they move in one st
 found. That depth has a line and a limit of its own, beside the depth that lasts.
 """
 
-import argparse
-import json
-import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,16 +18,13 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import HOLD_S, HOLD_STEPS, max_episode_steps
 from gym_demohlm.errors import DemoHLMError
-from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.checks.overlaps import Overlap, WatchedSimulation
-from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
-from lerobot_demohlm.experiments import lines
-from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.generation.attempt import Attempts
 
 ALL = "all"
@@ -300,63 +293,3 @@ def format_table(title: str, checks: Sequence[Check]) -> str:
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[3]]) for row in rows
     ]
     return "\n".join([title, *lines])
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm lint-task``."""
-    defaults = Settings()
-    parser.add_argument("task", help=f"name of the task, such as LiftBox, or {ALL!r}")
-    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
-    parser.add_argument("--no-demonstration", action="store_true", help="leave out what needs a demonstration")
-    parser.add_argument("--num-resets", type=int, default=defaults.num_resets, help="starts (default: %(default)s)")
-    parser.add_argument(
-        "--num-still", type=int, default=defaults.num_still, help="worlds standing still (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--num-episodes",
-        type=int,
-        default=defaults.num_episodes,
-        help="with random commands, and replays from other starts (default: %(default)s)",
-    )
-    parser.add_argument("--time-limit-s", type=float, help="of worlds (default: the task's own time limit)")
-    parser.add_argument("--seed", type=int, default=defaults.seed, help="of starts and commands (default: %(default)s)")
-    parser.add_argument("--results", type=Path, help="folder of JSON lines, to whose lint.jsonl one a task is added")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Print a table a task, then one line of JSON with the number of each check; exit code 1 where a check failed."""
-    settings = Settings(
-        num_resets=arguments.num_resets,
-        num_still=arguments.num_still,
-        num_episodes=arguments.num_episodes,
-        seed=arguments.seed,
-        time_limit_s=arguments.time_limit_s,
-    )
-    everything = arguments.task == ALL
-    if everything and arguments.root is not None:
-        raise DemoHLMError(f"--root with {ALL!r}", "one task", "name the task of that demonstration")
-    failed: dict[str, list[str]] = {}
-    found: dict[str, dict[str, float]] = {}
-    for task in all_tasks().values() if everything else [get_task(arguments.task)]:
-        demonstration = None if arguments.no_demonstration else load(arguments.root, task)
-        began = time.process_time()
-        checks = lint(task, demonstration, settings)
-        failed[task.name] = [check.name for check in checks if not check.ok]
-        found[task.name] = {check.name: check.number for check in checks}
-        found[task.name]["CPU time"] = round(time.process_time() - began, 1)
-        print(format_table(task.name, checks), end="\n\n", flush=True)
-        if arguments.results is not None:
-            line = {"task": task.name, **asdict(settings), "failed": failed[task.name], "found": found[task.name]}
-            line["stamp"] = stamp(task.name)
-            lines.append(arguments.results / "lint.jsonl", _command(task, settings), line)
-    ok = not any(failed.values())
-    print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
-    return 0 if ok else 1
-
-
-def _command(task: Task, settings: Settings) -> str:
-    """Return the call that makes a line of results."""
-    defaults = asdict(Settings())
-    changed = {name: value for name, value in asdict(settings).items() if value != defaults[name]}
-    options = [f"--{name.replace('_', '-')} {value}" for name, value in changed.items()]
-    return " ".join(["demohlm lint-task", task.name, *options])

@@ -5,15 +5,12 @@ whole simulation (physics, controller, contacts) that ``meta/episodes`` holds. A
 ``data/``, so a dataset may have been pushed, pulled and copied. What differs in the installation is said first.
 """
 
-import argparse
 import functools
 import importlib
-import json
 import multiprocessing
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -301,43 +298,3 @@ def choose(text: str, sample: int | None, total: int, seed: int) -> list[int]:
         raise DatasetError(f"--sample {sample}", "1 or more", "correct it")
     drawn = np.random.default_rng(seed).permutation(len(chosen))[:sample]
     return sorted(chosen[position] for position in drawn)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm verify``."""
-    parser.add_argument("--root", type=Path, required=True, help="dataset of `demohlm generate`, or its failures")
-    parser.add_argument("--task", help="my_module:MyTask, for a task from outside the package")
-    parser.add_argument("--episodes", default="all", help="all, or numbers such as 0,5,17 (default: %(default)s)")
-    parser.add_argument("--sample", type=int, help="verify this many of them, drawn at random")
-    parser.add_argument("--seed", type=int, default=0, help="of that draw (default: %(default)s)")
-    parser.add_argument("--num-workers", type=int, default=1, help="processes (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Verify a dataset; exit code 1 where any bit differs. The last line on stdout is a JSON object."""
-    root: Path = arguments.root
-    task = get_task(arguments.task or read_facts(root)["task"])
-    began = time.monotonic()
-    chosen = choose(arguments.episodes, arguments.sample, len(reader.lengths(root)), arguments.seed)
-    outcome = verify(root, task, chosen, arguments.num_workers, _say, show_progress=True)
-    for difference in outcome.differences[:SHOWN]:
-        print(difference)
-    if len(outcome.differences) > SHOWN:
-        print(f"and {len(outcome.differences) - SHOWN} more")
-    if outcome.identical:
-        print(
-            f"{outcome.episodes} episodes, {outcome.steps} steps: every bit as generated, "
-            "observations, success, physics, controller and contacts"
-        )
-    content = asdict(outcome) | {"identical": outcome.identical, "episodes_that_differ": len(outcome.differences)}
-    content["differences"] = content["differences"][:SHOWN]
-    content["seconds"] = round(time.monotonic() - began, 1)
-    print(json.dumps(content))
-    return 0 if outcome.identical else 1
-
-
-def _say(different: tuple[str, ...]) -> None:
-    for line in different:
-        print(line, flush=True)
-    if different:
-        print("bits hold for one installation and one family of processors: this alone may change them", flush=True)

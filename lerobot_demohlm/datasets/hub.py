@@ -1,6 +1,5 @@
 """A dataset on disk -> a dataset repository on the Hugging Face hub, with this project's card."""
 
-import argparse
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
@@ -60,16 +59,3 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
             "check the network, the repo id, and `hf auth login`",
         ) from error
     return str(url)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm push``."""
-    parser.add_argument("--root", type=Path, required=True, help="dataset of `demohlm generate`")
-    parser.add_argument("--repo-id", required=True, help="name on the hub, user/name")
-    parser.add_argument("--branch", help="branch to push to (default: the main one)")
-    parser.add_argument("--private", action="store_true", default=None, help="make a new repository a private one")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Push a dataset; the last line on stdout is its address."""
-    print(push(arguments.root, arguments.repo_id, private=arguments.private, branch=arguments.branch))

@@ -1,16 +1,14 @@
 """A demonstration -> the same commands sent to the same start, compared with the recording bit for bit."""
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.demonstrations.demonstration import Demonstration, load, measure
+from lerobot_demohlm.demonstrations.demonstration import Demonstration, measure
 from lerobot_demohlm.reproducibility import provenance
 
 
@@ -77,27 +75,3 @@ def _installation_differences(demonstration: Demonstration, sim: Simulation) -> 
     for key, value in now.items():
         if demonstration.metadata.get(key) != value:
             yield f"{key.replace('_', ' ')} {str(demonstration.metadata.get(key))[:12]} recorded, {value[:12]} now"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm replay``."""
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
-
-
-def main(arguments: argparse.Namespace) -> int:
-    """Replay a demonstration; exit code 1 where any bit differs."""
-    outcome = replay(load(arguments.root, get_task(arguments.task)))
-    for remark in outcome.remarks:
-        print(remark)
-    if outcome.identical:
-        print(f"{outcome.num_ticks} ticks replayed: every bit as recorded")
-        return 0
-    where = (
-        "in the final state only" if outcome.first_difference is None else f"from tick {outcome.first_difference} on"
-    )
-    print(
-        f"{outcome.num_ticks} ticks replayed: different {where}, joints by up to {outcome.largest_difference:.2e} rad; "
-        "bits hold for one version of MuJoCo and one family of processors"
-    )
-    return 1

@@ -7,7 +7,6 @@ object out of the other's follows it anew from where the other has brought it to
 hands that hold something follow the base.
 """
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -22,13 +21,12 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
-from gym_demohlm.task import MotionFrame
+from gym_demohlm.task import MotionFrame, Task
 from lerobot_demohlm.demonstrations.demonstration import (
     CONTACT_FORCE_N,
     CORRECTIONS_PATH,
     Demonstration,
     default_root,
-    load,
     require_contact,
 )
 from lerobot_demohlm.demonstrations.segments import ANCHORS, Anchor, Event, Segment
@@ -264,36 +262,15 @@ def groups(segments: Sequence[Segment]) -> list[tuple[Segment, ...]]:
     return [tuple(group) for _, group in sorted(grouped.items(), key=lambda item: item[0][1])]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm segment``."""
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
-    parser.add_argument("--figure", type=Path, help="draw the timeline into this PNG")
-    parser.add_argument(
-        "--write-corrections",
-        action="store_true",
-        help="write the segments to meta/segments.json, to be corrected there",
-    )
+def write_corrections(demonstration: Demonstration, task: Task, root: Path | None = None) -> Path:
+    """Write the segments of a demonstration into its directory, to be corrected by hand; return the file.
 
-
-def main(arguments: argparse.Namespace) -> None:
-    """Print the events and segments of a demonstration, draw them, write them down for corrections."""
-    task = get_task(arguments.task)
-    demonstration = load(arguments.root, task)
-    print("   tick  hand   event")
-    for event in events(demonstration):
-        print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
-    print("\n  ticks    hand   follows")
-    for entry in segment(demonstration):
-        what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
-        print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
-    if arguments.figure is not None:
-        from lerobot_demohlm.demonstrations.timeline import write_timeline
-
-        write_timeline(demonstration, arguments.figure)
-        print(f"\n{arguments.figure}")
-    if arguments.write_corrections:
-        path = (arguments.root or default_root(task)) / CORRECTIONS_PATH
-        content = {"segments": [asdict(entry) for entry in segment(demonstration)]}
-        path.write_text(json.dumps(content, indent=2) + "\n")
-        print(f"\n{path}: correct it by hand; remove it to have the segments found again")
+    Args:
+        demonstration: Of the task.
+        task: Of the demonstration.
+        root: Directory of the demonstration; the packaged one by default.
+    """
+    path = (root or default_root(task)) / CORRECTIONS_PATH
+    content = {"segments": [asdict(entry) for entry in segment(demonstration)]}
+    path.write_text(json.dumps(content, indent=2) + "\n")
+    return path

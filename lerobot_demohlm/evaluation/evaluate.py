@@ -1,6 +1,5 @@
 """Rollouts of a policy -> one JSON line an episode, resumed where they were killed, and rates with Wilson intervals."""
 
-import argparse
 import json
 import math
 import time
@@ -8,11 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gym_demohlm.errors import DatasetError, PolicyError
+from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.episode import OUTCOMES
 from lerobot_demohlm.datasets.facts import count_outcomes
-from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, LoadedPolicy, OnStep, Setting, load_policy, roll_batches
+from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, roll_batches
 
 FIRST_SEED = 1_000_000
 """Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: no start is shared."""
@@ -157,46 +156,3 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     if not valid:
         raise DatasetError(f"{path} without rollouts", "a file of `demohlm evaluate`", "check the path")
     return records
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm evaluate``."""
-    parser.add_argument("--policy", type=Path, required=True, help="a pretrained_model directory of lerobot-train")
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
-    parser.add_argument("--num-episodes", type=int, default=50, help="rollouts (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first rollout (default: %(default)s)")
-    parser.add_argument("--num-worlds", type=int, default=NUM_WORLDS, help="rollouts at a time (default: %(default)s)")
-    parser.add_argument("--num-threads", type=int, default=1, help="threads of the physics (default: %(default)s)")
-    parser.add_argument("--num-workers", type=int, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--output", type=Path, help="file for the JSON lines; resumed where it exists (default: none)")
-    parser.add_argument("--device", default="cpu", help="where the policy runs (default: %(default)s)")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm evaluate``; the last line on stdout is the summary as JSON.
-
-    Raises:
-        UnknownNameError: No such task or region.
-        PolicyError: The policy does not fit, or a count is not positive.
-        DatasetError: The output holds rollouts of something else.
-    """
-    import tempfile
-
-    import torch
-
-    if arguments.num_episodes < 1 or arguments.seed < 0:
-        raise PolicyError(
-            f"num_episodes={arguments.num_episodes}, seed={arguments.seed}",
-            "at least one episode and a seed of 0 or more",
-            "correct them",
-        )
-    setting = Setting(
-        **{name: getattr(arguments, name) for name in ("task", "region", "num_worlds", "num_threads", "num_workers")}
-    )
-    torch.set_num_threads(1)
-    loaded = load_policy(arguments.policy, arguments.task, arguments.device)
-    seeds = range(arguments.seed, arguments.seed + arguments.num_episodes)
-    with tempfile.TemporaryDirectory() as scratch:
-        records = evaluate(loaded, setting, seeds, arguments.output or Path(scratch) / "rollouts.jsonl")
-    print(json.dumps({"task": get_task(arguments.task).name, "region": arguments.region, **summarize(records)}))

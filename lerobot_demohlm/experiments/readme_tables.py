@@ -3,7 +3,6 @@
 A line says what was measured, by which command, at which commit. Tables are made from lines alone; nothing is typed in.
 """
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 
@@ -290,17 +289,3 @@ def update_readme(readme: Path, results: Path) -> bool:
     changed = f"{before}{BEGIN}\n{tables(results)}\n{END}{after}"
     readme.write_text(changed)
     return changed != text
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm results``."""
-    parser.add_argument("--results", type=Path, default=Path("results"), help="folder of JSON lines")
-    parser.add_argument("--readme", type=Path, help="put the tables into this file instead of printing them")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm results``."""
-    if arguments.readme is None:
-        print(tables(arguments.results))
-    elif update_readme(arguments.readme, arguments.results):
-        print(f"updated {arguments.readme}")

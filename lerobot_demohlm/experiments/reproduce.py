@@ -5,9 +5,7 @@ Cells run side by side, so that a training has a core to itself; what two of the
 process: a training leaves its precision behind in the process where it ran, and one that dies takes no other along.
 """
 
-import argparse
 import importlib
-import json
 import math
 import multiprocessing
 import sys
@@ -15,17 +13,14 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from gym_demohlm.errors import DatasetError, DemoHLMError
+from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.experiments import lines
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, TABLES, VARIANTS, Cell, Layout, RegionCell, plan
-from lerobot_demohlm.policies.presets import NAMES, POLICIES
+from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
-_CHOICES = ("tasks", "sizes", "seeds", "policies", "variants")
 Line = dict[str, Any]
 
 
@@ -80,7 +75,7 @@ def reproduce(
                     if not wanted([cell]):
                         continue  # another process has run it since
                     working[pool.submit(_run_apart, run, cell)] = cell
-                    print(f"begun: {_describe(cell)}, {len(waiting)} after it", file=sys.stderr, flush=True)
+                    print(f"begun: {describe(cell)}, {len(waiting)} after it", file=sys.stderr, flush=True)
             if not working:
                 return done, failures
             ended: set[Future[Line | None]] = wait(working, return_when=FIRST_COMPLETED).done
@@ -90,7 +85,7 @@ def reproduce(
                     line = future.result()
                 except Exception as error:  # whatever became of one cell, the others go on
                     kind = "" if isinstance(error, DemoHLMError) else f"{type(error).__name__}: "
-                    failures.append(f"{_describe(cell)}: {kind}{error}")
+                    failures.append(f"{describe(cell)}: {kind}{error}")
                     print(f"failed: {failures[-1]}", file=sys.stderr, flush=True)
                     continue
                 if line is not None:
@@ -121,89 +116,6 @@ def _makes_data_of(other: Cell | RegionCell, cell: Cell | RegionCell, layout: La
     return not layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant).exists()
 
 
-def _describe(cell: Cell | RegionCell) -> str:
+def describe(cell: Cell | RegionCell) -> str:
+    """Return what a cell is called in messages."""
     return cell.name if isinstance(cell, Cell) else f"{cell.task} in {cell.region}"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm reproduce``."""
-    parser.add_argument("--table", choices=TABLES, required=True, help="which of the paper's tables")
-    parser.add_argument("--tasks", nargs="+", help="names of tasks (default: the table's)")
-    parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training episodes, most wanted first")
-    parser.add_argument("--seeds", nargs="+", type=int, help="of the trainings (default: the table's)")
-    parser.add_argument("--policies", nargs="+", choices=POLICIES, help="(default: the table's)")
-    parser.add_argument(
-        "--variants",
-        nargs="+",
-        choices=tuple(VARIANTS),
-        help=f"of the training data; more than one is an ablation (default: {DEFAULT_VARIANT})",
-    )
-    parser.add_argument("--preset", default="cpu", choices=NAMES, help="hyperparameters (default: %(default)s)")
-    parser.add_argument("--num-rollouts", type=int, default=250, help="of each policy (default: %(default)s)")
-    parser.add_argument("--num-attempts", type=int, default=500, help="in each region (default: %(default)s)")
-    parser.add_argument("--steps", type=int, help="training steps (default: the preset's)")
-    parser.add_argument("--device", default="cpu", help="where policies are trained and act (default: %(default)s)")
-    parser.add_argument("--num-workers", type=int, default=1, help="cells at a time (default: %(default)s)")
-    parser.add_argument(
-        "--budget-hours", type=float, default=math.inf, help="begin nothing after so long (default: no end)"
-    )
-    parser.add_argument("--root", type=Path, default=Path("outputs/experiments"), help="of data, policies and rollouts")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="folder of JSON lines")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be run, and run nothing")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm reproduce``; the last line on stdout says as JSON what was done and what is missing.
-
-    Raises:
-        UnknownNameError: No such task.
-        DatasetError: A count or the budget is not positive.
-        DemoHLMError: Something went wrong in a cell; the others were run.
-    """
-    from lerobot_demohlm.experiments.cells import Effort, run_cell
-
-    for name in ("num_rollouts", "num_attempts", "num_workers", "budget_hours"):
-        if not getattr(arguments, name) > 0:
-            raise DatasetError(
-                f"{name}={getattr(arguments, name)}", "more than 0", f"correct --{name.replace('_', '-')}"
-            )
-    layout = Layout(root=arguments.root, results=arguments.results)
-    chosen = {name: getattr(arguments, name) for name in (*_CHOICES, "preset", "steps")}
-    counts = {name: getattr(arguments, name) for name in ("num_rollouts", "num_attempts")}
-    cells = plan(arguments.table, **chosen)
-    if arguments.dry_run:
-        for cell in missing(cells, layout, **counts):
-            print(_describe(cell))
-        return
-    effort = Effort(
-        **counts,
-        device=arguments.device,
-        deadline=time.monotonic() + 3600 * arguments.budget_hours,
-    )
-    done, failures = reproduce(
-        cells,
-        layout,
-        partial(run_cell, layout=layout, effort=effort),
-        num_workers=arguments.num_workers,
-        deadline=effort.deadline,
-        **counts,
-        command=_command(arguments),
-    )
-    left = len(missing(cells, layout, **counts))
-    print(json.dumps({"table": arguments.table, "run": done, "missing": left, "failed": failures}))
-    if failures:
-        raise DemoHLMError(failures[0], "cells that come to their end", "see the messages above, and run it again")
-
-
-def _command(arguments: argparse.Namespace) -> str:
-    """Return the call that makes the lines, without where things are and how many cells run at a time."""
-    words = ["demohlm reproduce --table", arguments.table]
-    for name in _CHOICES:
-        values = getattr(arguments, name)
-        words += [f"--{name}", *map(str, values)] if values else []
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    for name in ("preset", "num_rollouts", "num_attempts", "steps", "device"):
-        value = getattr(arguments, name)
-        words += [f"--{name.replace('_', '-')}", str(value)] if value != parser.get_default(name) else []
-    return " ".join(words)

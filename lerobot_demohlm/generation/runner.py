@@ -5,17 +5,15 @@ blocks on disk are the only memory of a run. So a run may be killed at any time,
 may be killed, and another makes its block again.
 """
 
-import argparse
 import functools
 import importlib
-import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from tqdm import tqdm
 
@@ -299,79 +297,3 @@ def summary_json(summary: GenerationSummary) -> dict[str, Any]:
     """Return the summary as the JSON object that ``demohlm generate`` prints."""
     content = asdict(summary)
     return content | {"success_rate": round(summary.success_rate, 4)}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm generate``."""
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the initial states (default: %(default)s)")
-    target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("--num-episodes", type=int, help="stop at this many successful episodes")
-    target.add_argument("--num-attempts", type=int, help="make this many attempts, successful or not")
-    parser.add_argument("--num-workers", type=int, default=1, help="blocks at a time (default: %(default)s)")
-    parser.add_argument(
-        "--backend",
-        choices=get_args(Backend),
-        default="processes",
-        help="who makes them: processes of this machine, or a Ray cluster (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="refuse to begin: go on with what was begun at ROOT; without it, too, the same command goes on",
-    )
-    parser.add_argument("--root", type=Path, required=True, help="directory of the dataset; must not exist")
-    parser.add_argument("--repo-id", help="name on the hub, user/name (default: made from task and region)")
-    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
-    parser.add_argument("--keep-failures", action="store_true", help="write failed attempts to ROOT-failures")
-    parser.add_argument(
-        "--retries",
-        type=int,
-        default=0,
-        help="times that an attempt may walk back and begin again after a missed goal or grip (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--command-noise",
-        type=float,
-        default=DEFAULT_SCALE,
-        metavar="SCALE",
-        help="execute commands with noise, record them without; 1 is 0.05 m/s, 0.025 rad (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--start-spread",
-        type=float,
-        default=1.0,
-        metavar="FACTOR",
-        help="widen the region's ranges of the robot's pose, x away from the object (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--stance-spread",
-        type=float,
-        default=0.0,
-        metavar="SCALE",
-        help="walk to places that are off by up to 5 cm and 5 deg, times this (default: %(default)s)",
-    )
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Generate a dataset; the last line on stdout is the summary as JSON."""
-    request = GenerationRequest(
-        task=arguments.task,
-        region=arguments.region,
-        seed=arguments.seed,
-        root=arguments.root,
-        num_episodes=arguments.num_episodes,
-        num_attempts=arguments.num_attempts,
-        num_workers=arguments.num_workers,
-        backend=arguments.backend,
-        resume=arguments.resume,
-        demonstration=arguments.demonstration,
-        repo_id=arguments.repo_id,
-        keep_failures=arguments.keep_failures,
-        retries=arguments.retries,
-        command_noise=arguments.command_noise,
-        start_spread=arguments.start_spread,
-        stance_spread=arguments.stance_spread,
-    )
-    print(json.dumps(summary_json(generate(request))))

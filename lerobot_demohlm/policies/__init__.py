@@ -1,3 +1,1 @@
-"""LeRobot policies of this package; importing it registers them."""
-
-from lerobot_demohlm.policies import chunked_mlp as chunked_mlp
+"""LeRobot policies of this package and how they are trained; ``lerobot_demohlm.register`` makes them known to it."""

@@ -4,16 +4,13 @@ The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --co
 ``--write-config`` writes, or with the ``train_config.json`` of the checkpoint, is the same training.
 """
 
-import argparse
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gym_demohlm.errors import DatasetError, PolicyError
-from gym_demohlm.registry import get_task
-from lerobot_demohlm.datasets.facts import read_facts, require_new_root
-from lerobot_demohlm.policies.presets import NAMES, POLICIES, PRESETS, train_config
-from lerobot_demohlm.reproducibility import provenance
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.facts import require_new_root
+from lerobot_demohlm.policies.presets import PRESETS, train_config
 
 if TYPE_CHECKING:
     from lerobot.configs.train import TrainPipelineConfig
@@ -90,40 +87,3 @@ def write_config(path: Path, config: "TrainPipelineConfig") -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w") as file, draccus.config_type("json"):
         draccus.dump(config, file, indent=4)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm train``."""
-    data = parser.add_mutually_exclusive_group(required=True)
-    data.add_argument("--root", type=Path, help="dataset of `demohlm generate`")
-    data.add_argument("--task", help="short for --root data/TASK, such as data/lift_box for LiftBox")
-    parser.add_argument("--policy", default="mlp", choices=POLICIES, help="what is trained (default: %(default)s)")
-    parser.add_argument("--preset", default="cpu", choices=NAMES, help="hyperparameters (default: %(default)s)")
-    parser.add_argument("--output", type=Path, help="directory of the training; must not exist (default: in outputs)")
-    parser.add_argument("--steps", type=int, help="training steps (default: the preset's)")
-    parser.add_argument("--num-episodes", type=int, help="train on the first so many episodes (default: on all)")
-    parser.add_argument("--seed", type=int, default=0, help="of the weights and of the order of the samples")
-    parser.add_argument("--device", default="cpu", help='such as "cuda" (default: %(default)s)')
-    parser.add_argument("--num-threads", type=int, default=1, help="threads of torch (default: %(default)s)")
-    parser.add_argument("--write-config", type=Path, help="write the configuration of lerobot-train and train nothing")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm train``; the last line on stdout is the path of the checkpoint, or of the configuration.
-
-    Raises:
-        DatasetError: There is no dataset, or the output exists.
-        PolicyError: Fewer than one step, episode or thread.
-    """
-    if arguments.num_threads < 1:
-        raise PolicyError(f"num_threads={arguments.num_threads}", "1 or more", "correct --num-threads")
-    root = arguments.root or Path("data") / provenance.file_name(get_task(arguments.task))
-    read_facts(root)
-    output = arguments.output or Path("outputs") / f"{root.name}_{arguments.policy}_{arguments.preset}"
-    chosen = {name: getattr(arguments, name) for name in ("steps", "seed", "num_episodes", "device")}
-    if arguments.write_config is not None:
-        config = train_config(root, output, arguments.policy, arguments.preset, **chosen)
-        write_config(arguments.write_config, config)
-        print(arguments.write_config)
-        return
-    print(train(output, root, arguments.policy, arguments.preset, **chosen, num_threads=arguments.num_threads))

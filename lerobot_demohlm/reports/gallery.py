@@ -4,7 +4,6 @@ An episode is simulated once, generated from the demonstration or rolled out by 
 picture is drawn from its snapshot when a strip or a video needs it.
 """
 
-import argparse
 import importlib.resources
 import io
 import os
@@ -20,12 +19,9 @@ from PIL import Image
 
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
-from gym_demohlm.errors import DatasetError
-from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import DEFAULT_REGION, Task
+from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.datasets.facts import require_new_root
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.reports.report import Film, film_strip, write_video
@@ -196,44 +192,15 @@ def write_markdown(takes: Sequence[Take], root: Path, page: Path) -> None:
     page.write_text(render_page(takes, "gallery.md.j2", os.path.relpath(folder, page.parent), videos=False))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm gallery``."""
-    parser.add_argument("--task", nargs="+", help="names of tasks, such as LiftBox (default: all)")
-    parser.add_argument("--region", default=DEFAULT_REGION, help="initial region, R1 to R3 (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the initial states (default: %(default)s)")
-    parser.add_argument("--index", type=int, default=0, help="which attempt of that seed (default: %(default)s)")
-    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
-    parser.add_argument("--policy", type=Path, help="pretrained_model to roll out from --seed instead; of one task")
-    parser.add_argument("--root", type=Path, required=True, help="directory of pages and films; must not exist")
-    parser.add_argument("--markdown", type=Path, help="write a Markdown page too, strips in a folder of its name")
-    parser.add_argument("--no-videos", action="store_true", help="strips only, which is many times quicker")
+def write_pages(takes: Sequence[Take], root: Path, markdown: Path | None = None, videos: bool = True) -> None:
+    """Write the HTML page of takes whose films are in a folder, and a Markdown page where one is wanted.
 
-
-def main(arguments: argparse.Namespace) -> None:
-    """Write strips, videos and pages; a task that fails is shown as it failed."""
-    require_new_root(arguments.root)
-    tasks = [get_task(name) for name in arguments.task] if arguments.task else list(all_tasks().values())
-    single = arguments.policy or arguments.demonstration
-    if single and len(tasks) != 1:
-        raise DatasetError(f"{len(tasks)} tasks for {single}", "one task", "name it with --task")
-    if arguments.seed < 0 or arguments.index < 0:
-        raise DatasetError(f"seed={arguments.seed}, index={arguments.index}", "0 or more", "change them")
-    for task in tasks:
-        task.region(arguments.region)
-    takes = []
-    for task in tasks:
-        if arguments.policy:
-            take = policy_take(task, arguments.region, arguments.seed, arguments.policy)
-        else:
-            take = generated_take(task, arguments.region, arguments.seed, arguments.index, arguments.demonstration)
-        write_take(take, arguments.root, videos=not arguments.no_videos)
-        print(f"{task.name}, {take.caption}", flush=True)
-        takes.append(take)
-        _write_pages(takes, arguments)  # after each task: a run that is stopped leaves what it has done
-
-
-def _write_pages(takes: Sequence[Take], arguments: argparse.Namespace) -> None:
-    page = arguments.root / "index.html"
-    page.write_text(render_page(takes, "gallery.html.j2", ".", videos=not arguments.no_videos))
-    if arguments.markdown is not None:
-        write_markdown(takes, arguments.root, arguments.markdown)
+    Args:
+        takes: In the order of the page.
+        root: Folder of the films; the page is its index.html.
+        markdown: File of the Markdown page; its strips go into a folder of its name.
+        videos: Whether there are videos beside the strips.
+    """
+    (root / "index.html").write_text(render_page(takes, "gallery.html.j2", ".", videos=videos))
+    if markdown is not None:
+        write_markdown(takes, root, markdown)

@@ -1,6 +1,5 @@
 """Records of rollouts, facts of a dataset and pictures -> one HTML page that carries everything inside."""
 
-import argparse
 import base64
 import importlib.resources
 import io
@@ -14,9 +13,8 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.datasets.facts import installed_versions, read_facts
-from lerobot_demohlm.evaluation.evaluate import read_records, summarize, wilson
+from lerobot_demohlm.datasets.facts import installed_versions
+from lerobot_demohlm.evaluation.evaluate import summarize, wilson
 
 SUCCESS_TEXTS = {
     "success_held": "held for 1 s",
@@ -157,58 +155,3 @@ def outcomes_table(outcomes: Mapping[str, int], count: int) -> Markup:
         if number
     ]
     return Markup("<table><tr><th>Outcome</th><th>Episodes</th><th></th></tr>{}</table>").format(Markup("").join(rows))
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm report``."""
-    parser.add_argument("--evaluation", type=Path, help="JSON lines of `demohlm evaluate`")
-    parser.add_argument("--root", type=Path, help="dataset of `demohlm generate`")
-    parser.add_argument("--video", type=Path, help="MP4 to embed")
-    parser.add_argument("--results", type=Path, help="folder of JSON lines: report on the experiments instead")
-    parser.add_argument("--experiments", type=Path, default=Path("outputs/experiments"), help="--root of reproduce")
-    parser.add_argument(
-        "--num-videos", type=int, default=0, help="failures of each policy to film (default: %(default)s)"
-    )
-    parser.add_argument("--figures", type=Path, help="folder into which the figures of --results go, as SVG")
-    parser.add_argument("--output", type=Path, required=True, help="HTML file; must not exist")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Write a report of what is given."""
-    if arguments.output.exists():
-        raise DatasetError(f"the file {arguments.output}, which exists", "a new file", "choose another --output")
-    if arguments.results is not None:
-        page = _experiments_page(arguments)
-    else:
-        page = _page(arguments)
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    arguments.output.write_text(page)
-    print(arguments.output)
-
-
-def _experiments_page(arguments: argparse.Namespace) -> str:
-    from lerobot_demohlm.experiments.page import render_page, write_figures
-    from lerobot_demohlm.experiments.plan import Layout
-
-    if not arguments.results.is_dir():
-        raise DatasetError(f"no folder {arguments.results}", "a folder of JSON lines", "check --results")
-    if arguments.figures is not None:
-        write_figures(arguments.results, arguments.figures)
-    return render_page(Layout(root=arguments.experiments, results=arguments.results), arguments.num_videos)
-
-
-def _page(arguments: argparse.Namespace) -> str:
-    if arguments.evaluation is None and arguments.root is None:
-        raise DatasetError("neither --evaluation nor --root", "one of them or both", "say what to report on")
-    if arguments.video is not None and not arguments.video.is_file():
-        raise DatasetError(f"no file {arguments.video}", "an MP4", "check --video")
-    facts = None if arguments.root is None else read_facts(arguments.root)
-    records = [] if arguments.evaluation is None else read_records(arguments.evaluation)
-    shown = records[0] if records else facts or {}
-    return render_report(
-        title=f"{shown['task']}, {shown['region']}",
-        facts=facts,
-        records=records,
-        video=arguments.video,
-        video_caption="" if arguments.video is None else arguments.video.name,
-    )

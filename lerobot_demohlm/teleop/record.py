@@ -1,12 +1,10 @@
 """An operator and a task -> a demonstration: poses at 10 Hz, inverse kinematics, commands, controller, physics."""
 
-import argparse
 import importlib
 import pkgutil
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +12,6 @@ from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
-from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState, Task
@@ -174,23 +171,3 @@ def _view(sim: Simulation, tick: int) -> SceneView:
         T_world_hands=np.stack([sim.pose(f"{side}_palm")[0] for side in g1.SIDES]),
         T_world_objects={entry.name: sim.pose(entry.name)[0] for entry in sim.task.objects},
     )
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm record``."""
-    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
-    parser.add_argument(
-        "--teleop", choices=("scripted",), default="scripted", help="who operates (default: %(default)s)"
-    )
-    parser.add_argument("--root", type=Path, required=True, help="directory to write; must not exist")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Record a demonstration with the task's scripted operator."""
-    task = get_task(arguments.task)
-    if arguments.root.exists():
-        raise DemonstrationError(f"the root {arguments.root}, which exists", "a new path", "choose another --root")
-    script = script_of(task)
-    demonstration = record(task, script.make_operator(), script.start)
-    demonstration.save(arguments.root)
-    print(f"{arguments.root}: {len(demonstration)} ticks by {demonstration.metadata['operator']}")

@@ -5,8 +5,6 @@ redrawn every 4 s, worlds standing and walking by turns; arms move between rando
 robot's own body, with a load of 0 to 2 kg in each hand; errors count from 1.5 s after each redraw.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -296,87 +294,9 @@ def robustness(num_worlds: int, seconds: float, seed: int, num_threads: int = 2)
     return {**found, "num_worlds": num_worlds, "seconds": seconds, "seed": seed}
 
 
-def _hand_error(num_worlds: int, seed: int, num_threads: int, weights: Path | None) -> dict[str, float]:
+def hand_error(num_worlds: int, seed: int, num_threads: int, weights: Path | None) -> dict[str, float]:
     """Return ``reach.hand_error`` of a sixteenth of the robots, empty-handed."""
     from gym_demohlm.wbc.evaluation import reach  # loads the inverse kinematics
 
     simulation = trial_simulation(max(1, num_worlds // 16), num_threads=num_threads, weights=weights)
     return reach.hand_error(simulation, seed, rounds=8)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark controller``."""
-    parser.add_argument("--num-worlds", type=int, default=256, help="robots, one episode each")
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of an episode")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--roll", type=float, default=0.4, help="largest torso roll of standing robots [rad]")
-    parser.add_argument("--yaw", type=float, default=1.0, help="largest torso yaw of standing robots [rad]")
-    parser.add_argument("--weights", type=Path, help="other weights than the packaged ones")
-    parser.add_argument("--hand-load", type=float, default=LARGEST_HAND_LOAD, help="largest mass in each hand [kg]")
-    parser.add_argument(
-        "--velocity-only", action="store_true", help="upright, arms still: as velocity policies are asked"
-    )
-    parser.add_argument("--peer", help="run a public controller instead: holosoma or holosoma-ppo")
-    parser.add_argument("--peer-range", action="store_true", help="with --peer: velocities from the peer's own range")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="draw figures and a video into a folder instead")
-    parser.add_argument("--compare", type=Path, nargs="+", metavar="RUN", help="with --figures: only training runs")
-    parser.add_argument("--run", type=Path, help="with --figures: folder of a training run, for its learning curve")
-    parser.add_argument(
-        "--trade-off", type=Path, metavar="DIR", help="errors over shares of the range and loads instead; draws them"
-    )
-    parser.add_argument("--robustness", action="store_true", help="survival under disturbances instead")
-    parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm benchmark controller``: the last line on stdout is one JSON object."""
-    size = (arguments.num_worlds, arguments.seconds, arguments.seed, arguments.num_threads)
-    roll, yaw = arguments.roll, arguments.yaw
-    ranges = CommandRange(roll=(-roll, roll), yaw=(-yaw, yaw))
-    found: dict[str, Any]
-    if arguments.figures and arguments.compare:
-        from gym_demohlm.wbc.evaluation import figures
-
-        arguments.figures.mkdir(parents=True, exist_ok=True)
-        figures.draw_comparison(arguments.compare, arguments.figures / "controller_comparison.png")
-        found = {"figures": ["controller_comparison.png"]}
-    elif arguments.figures:
-        from gym_demohlm.wbc.evaluation import figures  # loads Matplotlib
-
-        found = figures.draw(arguments.figures, arguments.weights, arguments.run, arguments.seed, arguments.num_threads)
-    elif arguments.trade_off:
-        from gym_demohlm.wbc.evaluation import trade_off  # loads Matplotlib
-
-        found = trade_off.trade_off(*size, arguments.weights)
-        arguments.trade_off.mkdir(parents=True, exist_ok=True)
-        trade_off.draw_trade_off(found, arguments.trade_off / "controller_trade_off.png")
-    elif arguments.robustness:
-        found = robustness(*size)
-    elif arguments.peer:
-        from gym_demohlm.wbc.evaluation import peer
-
-        found = peer.benchmark(
-            arguments.peer, *size, ranges, largest_hand_load=arguments.hand_load, own_range=arguments.peer_range
-        )
-    else:
-        ranges = ranges.velocity_only() if arguments.velocity_only else ranges
-        found = benchmark(*size, ranges, arguments.weights, largest_hand_load=arguments.hand_load)
-        found["velocity_only"] = arguments.velocity_only
-        if not arguments.velocity_only:
-            found |= _hand_error(arguments.num_worlds, arguments.seed, arguments.num_threads, arguments.weights)
-    print(json.dumps(_rounded(found)))
-
-
-def _rounded(value: object) -> object:
-    """Return numbers, also those in lists and mappings, with five digits after the point."""
-    if isinstance(value, dict):
-        return {name: _rounded(entry) for name, entry in value.items()}
-    if isinstance(value, list):
-        return [_rounded(entry) for entry in value]
-    return round(value, 5) if isinstance(value, float) else value
-
-
-if __name__ == "__main__":
-    _parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(_parser)
-    main(_parser.parse_args())

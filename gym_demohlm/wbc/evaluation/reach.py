@@ -6,8 +6,6 @@ thinned to be uniform in space. A standing robot's targets are fixed in the worl
 follows its pelvis's mean way and heading.
 """
 
-import argparse
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,6 @@ from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
 from gym_demohlm.wbc.evaluation.commanded_posture import Figure
-from gym_demohlm.wbc.evaluation.trial import trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import ARM_MIRROR
 
 # Arm poses in front of and beside the body [rad]: shoulder pitch, roll, yaw, elbow, wrist roll, pitch, yaw; left arm.
@@ -251,7 +248,7 @@ def reach_map(
 
 def draw_map(path: Path, x: np.ndarray, z: np.ndarray, errors: np.ndarray, fallen: np.ndarray) -> None:
     """Draw what `reach_map` found: colour is the error, a cross a fall."""
-    import matplotlib  # of the extra [wbc]
+    import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
@@ -271,32 +268,26 @@ def draw_map(path: Path, x: np.ndarray, z: np.ndarray, errors: np.ndarray, falle
     pyplot.close(figure)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm benchmark reach``."""
-    parser.add_argument("--output", type=Path, help="draw the reachability map into this PNG file")
-    parser.add_argument("--num-worlds", type=int, default=16, help="robots stepped together")
-    parser.add_argument("--rounds", type=int, default=4, help="random targets a robot, standing and walking each")
-    parser.add_argument("--step", type=float, default=0.1, help="grid of the map [m]")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--weights", type=Path, help="other weights than the packaged ones")
-    parser.add_argument("--num-threads", type=int, default=2, help="threads of the physics")
+def measure_map(simulation: Simulation, step: float, path: Path) -> dict[str, Any]:
+    """Let standing robots reach for every point of a grid, draw the map, and return its numbers.
 
+    Args:
+        simulation: Of ``trial_task``.
+        step: Distance between points of the grid [m].
+        path: PNG file to draw into.
 
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm benchmark reach``: the last line on stdout is one JSON object."""
-    simulation = trial_simulation(arguments.num_worlds, num_threads=arguments.num_threads, weights=arguments.weights)
-    found: dict[str, Any] = {**hand_error(simulation, arguments.seed, arguments.rounds)}
-    if arguments.output:
-        x, z = np.arange(0.1, 0.7001, arguments.step), np.arange(0.1, 1.5001, arguments.step)
-        errors, fallen = reach_map(simulation, x, z)
-        draw_map(arguments.output, x, z, errors, fallen)
-        found |= {"map_x": np.round(x, 3).tolist(), "map_z": np.round(z, 3).tolist()}
-        for name, error, fell in zip(("one_hand", "both_hands"), errors, fallen, strict=True):
-            found[f"map_{name}"] = np.round(error, 4).tolist()
-            found[f"map_{name}_within_10mm"] = float(((error < STANDING_TOLERANCE) & ~fell).mean())
-    simulation.close()
-    found |= {"seed": arguments.seed, "num_worlds": arguments.num_worlds}
-    print(json.dumps({name: round(value, 5) if isinstance(value, float) else value for name, value in found.items()}))
+    Returns:
+        Places of the grid "map_x" and "map_z" [m]; for "one_hand" and "both_hands" the errors "map_..." [m], a row a
+        height, and the share of the grid "map_..._within_10mm" that is reached by a robot that does not fall.
+    """
+    x, z = np.arange(0.1, 0.7001, step), np.arange(0.1, 1.5001, step)
+    errors, fallen = reach_map(simulation, x, z)
+    draw_map(path, x, z, errors, fallen)
+    found: dict[str, Any] = {"map_x": np.round(x, 3).tolist(), "map_z": np.round(z, 3).tolist()}
+    for name, error, fell in zip(("one_hand", "both_hands"), errors, fallen, strict=True):
+        found[f"map_{name}"] = np.round(error, 4).tolist()
+        found[f"map_{name}_within_10mm"] = float(((error < STANDING_TOLERANCE) & ~fell).mean())
+    return found
 
 
 def _begin(simulation: Simulation) -> WholeBodyIK:

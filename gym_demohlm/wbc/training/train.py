@@ -5,7 +5,6 @@ On CPU cores every process steps its own worlds and learns from them; gradients 
 With ``--device cuda`` one process steps many more worlds and learns from them on the GPU.
 """
 
-import argparse
 import json
 import os
 import signal
@@ -24,11 +23,11 @@ from torch.multiprocessing.spawn import ProcessContext, start_processes
 from gym_demohlm.errors import SceneError
 from gym_demohlm.wbc.training.export import export_weights
 from gym_demohlm.wbc.training.mirror_model import MirrorModel
-from gym_demohlm.wbc.training.train_config import TrainConfig, cpu_config, cuda_config, ppo_config
+from gym_demohlm.wbc.training.train_config import TrainConfig, ppo_config
 from gym_demohlm.wbc.training.vec_env import MdpVecEnv
 
 _SMALLEST_LOG_NOISE = -2.5
-_POLISHING_NOISE = 0.12
+POLISHING_NOISE = 0.12
 
 
 @dataclass
@@ -224,42 +223,3 @@ def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progre
     partial.replace(output / "checkpoint.pt")
     facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
     export_weights(runner.alg.get_policy(), env.mdp.reference, output / "weights.npz", facts)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm train-controller``."""
-    parser.add_argument("--output", type=Path, default=Path("runs/controller"), help="folder of the run")
-    parser.add_argument("--hours", type=float, default=3.0, help="wall-clock time of training")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="mujoco.rollout, or mujoco_warp")
-    parser.add_argument("--num-processes", type=int, help="cpu: processes, one a core, that share 512 worlds (2)")
-    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
-    parser.add_argument("--polish", action="store_true", help="learn slowly, exploring little: the last part of a run")
-    parser.add_argument("--max-steps", type=int, help="control steps of the whole run after which it ends")
-    parser.add_argument("--evaluate-every", type=int, default=TrainConfig.evaluate_every, help="iterations")
-    parser.add_argument("--without", choices=("symmetry", "reference", "curriculum"), help="to see what it is worth")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Run ``demohlm train-controller``."""
-    config = cuda_config() if arguments.device == "cuda" else cpu_config(arguments.num_processes or 2)
-    processes = arguments.num_processes or config.num_processes
-    config = replace(
-        config,
-        mdp=replace(config.mdp, use_reference=arguments.without != "reference"),
-        num_processes=processes,
-        polish=arguments.polish,
-        largest_noise=_POLISHING_NOISE if arguments.polish else config.largest_noise,
-        symmetric=arguments.without != "symmetry",
-        curriculum=arguments.without != "curriculum",
-        evaluate_every=arguments.evaluate_every,
-        max_steps=arguments.max_steps,
-        seed=arguments.seed,
-    )
-    train(arguments.output, config, hours=arguments.hours, resume=arguments.resume)
-
-
-if __name__ == "__main__":
-    _parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(_parser)
-    main(_parser.parse_args())

@@ -4,7 +4,6 @@ An attempt is made again for its page, so any can be explained, also a failed on
 dataset, or the ``ROOT.partial`` of a run that is not finished, or that never succeeded.
 """
 
-import argparse
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,12 +12,10 @@ from typing import Any
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import Task
-from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts, read_records
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.block import RECORDS
-from lerobot_demohlm.reports.explain import pages
 
 
 def read_run(root: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -117,34 +114,3 @@ def agreement(record: Mapping[str, Any], episode: Episode) -> str:
         f"Made again for this page, and not with the bits of the run, where it ended with {record['outcome']} in "
         f"{record['stage']} after {record['length_s']:.1f} s: `demohlm verify` says what differs in the installation."
     )
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``demohlm explain``."""
-    parser.add_argument("--root", type=Path, required=True, help="dataset of `demohlm generate`, or ROOT.partial")
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument("--attempt", type=int, help="explain this attempt, failed or not (default: the whole run)")
-    one.add_argument("--episode", type=int, help="explain the attempt that is this episode of the dataset")
-    parser.add_argument("--output", type=Path, required=True, help="HTML file; must not exist")
-    parser.add_argument("--task", help="my_module:MyTask, for a task from outside the package")
-    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
-    parser.add_argument("--no-pictures", action="store_true", help="leave the film strips out")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Write the page; the last line on stdout is a JSON object."""
-    pages.require_new(arguments.output)
-    task = None if arguments.task is None else get_task(arguments.task)
-    short: dict[str, Any]
-    attempt = arguments.attempt
-    if arguments.episode is not None:
-        attempt = reader.attempt_of(arguments.root, arguments.episode)
-    if attempt is None:
-        page = explain_run(arguments.root, task)
-        facts, _ = read_run(arguments.root)
-        short = {key: facts[key] for key in ("attempts", "successes", "outcomes")}
-    else:
-        page, short = explain_attempt(arguments.root, attempt, task, arguments.demonstration, not arguments.no_pictures)
-        print(f"{short['outcome']} in {short['stage']} after {short['length_s']:.1f} s. {short['reason']}".strip())
-    pages.write(arguments.output, page)
-    print(json.dumps({"page": str(arguments.output), **short}))

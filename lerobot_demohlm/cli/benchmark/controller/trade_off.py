@@ -1,0 +1,32 @@
+"""``demohlm benchmark controller trade-off``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from lerobot_demohlm.cli.benchmark.controller import Size
+from lerobot_demohlm.cli.parsing import default
+from lerobot_demohlm.cli.printing import print_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Size):
+    """Options of ``demohlm benchmark controller trade-off``.
+
+    Attributes:
+        root: Folder for the drawing, controller_trade_off.png.
+        weights: Other weights of the controller.
+    """
+
+    root: Path
+    weights: Annotated[Path | None, default("the packaged ones")] = None
+
+
+def run(options: Options) -> None:
+    """Measure and draw; the last line on stdout is the result as JSON."""
+    from gym_demohlm.wbc.evaluation.trade_off import draw_trade_off, trade_off
+
+    found = trade_off(*options.numbers, options.weights)
+    options.root.mkdir(parents=True, exist_ok=True)
+    draw_trade_off(found, options.root / "controller_trade_off.png")
+    print_json(found)

@@ -1,0 +1,44 @@
+"""``demohlm benchmark generation``."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.cli.parsing import default
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm benchmark generation``.
+
+    Attributes:
+        task: Name of the task.
+        region: Initial region, R1 to R3.
+        seed: Seed of the run.
+        num_attempts: Attempts.
+        demonstration: Directory of the demonstration.
+    """
+
+    task: str = "LiftBox"
+    region: str = DEFAULT_REGION
+    seed: int = 0
+    num_attempts: int = 16
+    demonstration: Annotated[Path | None, default("the packaged one")] = None
+
+
+def run(options: Options) -> None:
+    """Measure; the last line on stdout is the result as JSON.
+
+    Raises:
+        DatasetError: The number of attempts is not positive.
+    """
+    from gym_demohlm.registry import get_task
+    from lerobot_demohlm.benchmarks.generation import measure
+
+    if options.num_attempts < 1:
+        raise DatasetError(f"num_attempts={options.num_attempts}", "1 or more", "correct --num-attempts")
+    task = get_task(options.task)
+    print(json.dumps(measure(task, options.region, options.seed, options.num_attempts, options.demonstration)))

@@ -1,0 +1,14 @@
+"""Names that options choose among, without what it takes to import where they are defined; a test compares them."""
+
+from typing import Literal
+
+Policy = Literal["mlp", "act", "diffusion"]
+"""Of ``policies.presets.POLICIES``."""
+Preset = Literal["paper", "cpu"]
+"""Of ``policies.presets.NAMES``."""
+Table = Literal["main", "architectures", "regions"]
+"""Of ``experiments.plan.TABLES``."""
+Variant = Literal["plain", "noise", "starts", "stances", "noise_stances"]
+"""Of ``experiments.plan.VARIANTS``."""
+Peer = Literal["holosoma", "holosoma-ppo"]
+"""Of ``wbc.evaluation.peer.PEERS``."""

@@ -1,0 +1,74 @@
+"""``demohlm evaluate``."""
+
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from gym_demohlm.errors import PolicyError
+from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.cli.parsing import default
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
+from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting, load_policy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm evaluate``.
+
+    Attributes:
+        policy: A pretrained_model directory of `demohlm train` or lerobot-train.
+        task: Name of the task, such as LiftBox.
+        region: Initial region, R1 to R3.
+        num_episodes: Rollouts.
+        seed: Seed of the first rollout; the next one has the next seed.
+        num_worlds: Rollouts at a time in a process.
+        num_threads: Threads of the physics in a process.
+        num_workers: Processes.
+        output: File for the JSON lines, one a rollout; where it exists, the rollouts in it are kept.
+        device: Where the policy runs, such as "cuda".
+    """
+
+    policy: Path
+    task: str
+    region: str = DEFAULT_REGION
+    num_episodes: int = 50
+    seed: int = FIRST_SEED
+    num_worlds: int = NUM_WORLDS
+    num_threads: int = 1
+    num_workers: int = 1
+    output: Annotated[Path | None, default("none")] = None
+    device: str = "cpu"
+
+
+def run(options: Options) -> None:
+    """Roll a policy out; the last line on stdout is the summary as JSON.
+
+    Raises:
+        UnknownNameError: No such task or region.
+        PolicyError: The policy does not fit, or a count is not positive.
+        DatasetError: The output holds rollouts of something else.
+    """
+    import torch
+
+    if options.num_episodes < 1 or options.seed < 0:
+        raise PolicyError(
+            f"num_episodes={options.num_episodes}, seed={options.seed}",
+            "at least one episode and a seed of 0 or more",
+            "correct them",
+        )
+    setting = Setting(
+        task=options.task,
+        region=options.region,
+        num_worlds=options.num_worlds,
+        num_threads=options.num_threads,
+        num_workers=options.num_workers,
+    )
+    torch.set_num_threads(1)
+    loaded = load_policy(options.policy, options.task, options.device)
+    seeds = range(options.seed, options.seed + options.num_episodes)
+    with tempfile.TemporaryDirectory() as scratch:
+        records = evaluate(loaded, setting, seeds, options.output or Path(scratch) / "rollouts.jsonl")
+    print(json.dumps({"task": get_task(options.task).name, "region": options.region, **summarize(records)}))

@@ -1,0 +1,75 @@
+"""``demohlm report``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.cli.parsing import default
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm report``.
+
+    Attributes:
+        evaluation: JSON lines of `demohlm evaluate`.
+        root: Dataset of `demohlm generate`.
+        video: MP4 file to embed.
+        results: Folder of JSON lines; the report is on the experiments then.
+        experiments: The --root of `demohlm reproduce`, for a report on the experiments.
+        num_videos: Failures of each policy to film, in a report on the experiments.
+        figures: Folder into which the figures of a report on the experiments go, too, as SVG.
+        output: HTML file; must not exist.
+    """
+
+    evaluation: Annotated[Path | None, default("none")] = None
+    root: Annotated[Path | None, default("none")] = None
+    video: Annotated[Path | None, default("none")] = None
+    results: Annotated[Path | None, default("none")] = None
+    experiments: Path = Path("outputs/experiments")
+    num_videos: int = 0
+    figures: Annotated[Path | None, default("none")] = None
+    output: Path
+
+
+def run(options: Options) -> None:
+    """Write a report of what is given."""
+    if options.output.exists():
+        raise DatasetError(f"the file {options.output}, which exists", "a new file", "choose another --output")
+    page = _page(options) if options.results is None else _experiments_page(options, options.results)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(page)
+    print(options.output)
+
+
+def _experiments_page(options: Options, results: Path) -> str:
+    from lerobot_demohlm.experiments.page import render_page, write_figures
+    from lerobot_demohlm.experiments.plan import Layout
+
+    if not results.is_dir():
+        raise DatasetError(f"no folder {results}", "a folder of JSON lines", "check --results")
+    if options.figures is not None:
+        write_figures(results, options.figures)
+    return render_page(Layout(root=options.experiments, results=results), options.num_videos)
+
+
+def _page(options: Options) -> str:
+    from lerobot_demohlm.datasets.facts import read_facts
+    from lerobot_demohlm.evaluation.evaluate import read_records
+    from lerobot_demohlm.reports.report import render_report
+
+    if options.evaluation is None and options.root is None:
+        raise DatasetError("neither --evaluation nor --root", "one of them or both", "say what to report on")
+    if options.video is not None and not options.video.is_file():
+        raise DatasetError(f"no file {options.video}", "an MP4", "check --video")
+    facts = None if options.root is None else read_facts(options.root)
+    records = [] if options.evaluation is None else read_records(options.evaluation)
+    shown = records[0] if records else facts or {}
+    return render_report(
+        title=f"{shown['task']}, {shown['region']}",
+        facts=facts,
+        records=records,
+        video=options.video,
+        video_caption="" if options.video is None else options.video.name,
+    )

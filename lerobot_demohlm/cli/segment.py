@@ -1,0 +1,49 @@
+"""``demohlm segment``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from lerobot_demohlm.cli.parsing import default
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm segment``.
+
+    Attributes:
+        task: Name of the task, such as LiftBox.
+        root: Directory of the demonstration.
+        figure: Draw the timeline into this PNG file.
+        write_corrections: Write the segments to meta/segments.json, to be corrected there by hand.
+    """
+
+    task: str
+    root: Annotated[Path | None, default("the packaged one")] = None
+    figure: Annotated[Path | None, default("no figure")] = None
+    write_corrections: bool = False
+
+
+def run(options: Options) -> None:
+    """Print the events and segments of a demonstration, draw them, write them down for corrections."""
+    from gym_demohlm.registry import get_task
+    from lerobot_demohlm.demonstrations.demonstration import load
+    from lerobot_demohlm.demonstrations.segmentation import events, segment, write_corrections
+
+    task = get_task(options.task)
+    demonstration = load(options.root, task)
+    print("   tick  hand   event")
+    for event in events(demonstration):
+        print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
+    print("\n  ticks    hand   follows")
+    for entry in segment(demonstration):
+        what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
+        print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
+    if options.figure is not None:
+        from lerobot_demohlm.demonstrations.timeline import write_timeline
+
+        write_timeline(demonstration, options.figure)
+        print(f"\n{options.figure}")
+    if options.write_corrections:
+        path = write_corrections(demonstration, task, options.root)
+        print(f"\n{path}: correct it by hand; remove it to have the segments found again")

@@ -1,0 +1,59 @@
+"""``demohlm train-controller``."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from gym_demohlm.wbc.training.train_config import TrainConfig, cpu_config, cuda_config
+from lerobot_demohlm.cli.parsing import default
+
+_CPU_PROCESSES = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm train-controller``.
+
+    Attributes:
+        output: Folder of the run.
+        hours: Wall-clock time of training.
+        seed: Seed of commands, randomisation and exploration.
+        device: Physics and learning on the CPU (mujoco.rollout) or on a GPU (mujoco_warp).
+        num_processes: With --device cpu, processes that share 512 worlds, one a core.
+        resume: Go on from the last checkpoint.
+        polish: Learn slowly and explore little, for the last part of a run.
+        max_steps: Control steps of the whole run after which it ends.
+        evaluate_every: Iterations between evaluations.
+        without: Leave one part of the training out, to see what it is worth.
+    """
+
+    output: Path = Path("runs/controller")
+    hours: float = 3.0
+    seed: int = TrainConfig.seed
+    device: Literal["cpu", "cuda"] = "cpu"
+    num_processes: Annotated[int | None, default(str(_CPU_PROCESSES))] = None
+    resume: bool = False
+    polish: bool = False
+    max_steps: Annotated[int | None, default("no end")] = None
+    evaluate_every: int = TrainConfig.evaluate_every
+    without: Annotated[Literal["symmetry", "reference", "curriculum"] | None, default("nothing")] = None
+
+
+def run(options: Options) -> None:
+    """Train the controller."""
+    from gym_demohlm.wbc.training.train import POLISHING_NOISE, train
+
+    config = cuda_config() if options.device == "cuda" else cpu_config(options.num_processes or _CPU_PROCESSES)
+    config = replace(
+        config,
+        mdp=replace(config.mdp, use_reference=options.without != "reference"),
+        num_processes=options.num_processes or config.num_processes,
+        polish=options.polish,
+        largest_noise=POLISHING_NOISE if options.polish else config.largest_noise,
+        symmetric=options.without != "symmetry",
+        curriculum=options.without != "curriculum",
+        evaluate_every=options.evaluate_every,
+        max_steps=options.max_steps,
+        seed=options.seed,
+    )
+    train(options.output, config, hours=options.hours, resume=options.resume)

@@ -1,0 +1,252 @@
+"""The verbs of ``demohlm``, by group, and the overview that ``demohlm --help`` prints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+GROUPS = ("begin here", "demonstrations", "data", "policies", "checks", "reports", "benchmarks", "training")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verb:
+    """One thing that ``demohlm`` can do.
+
+    Attributes:
+        name: Its words.
+        group: One of ``GROUPS``.
+        help: What it does, in a line.
+        example: A call that works as it stands.
+        moved: Former flags, and the verb that each has become.
+    """
+
+    name: str
+    group: str
+    help: str
+    example: str
+    moved: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Return the words of its name."""
+        return tuple(self.name.split())
+
+    @property
+    def module(self) -> str:
+        """Return the file that owns it: ``benchmark trade-off`` is ``cli/benchmark/trade_off.py``."""
+        return ".".join(("lerobot_demohlm.cli", *(word.replace("-", "_") for word in self.words)))
+
+    @property
+    def sentence(self) -> str:
+        """Return what it does as a sentence."""
+        return self.help[0].upper() + self.help[1:] + "."
+
+
+VERBS = (
+    Verb(
+        name="quickstart",
+        group="begin here",
+        help="generate a small dataset, train a policy on it, score it, and write a report, in ten minutes",
+        example="demohlm quickstart",
+    ),
+    Verb(
+        name="record",
+        group="demonstrations",
+        help="record a demonstration with the task's scripted operator",
+        example="demohlm record --task LiftBox --root demonstrations/lift_box",
+    ),
+    Verb(
+        name="replay",
+        group="demonstrations",
+        help="replay a demonstration and compare it with its recording, bit for bit",
+        example="demohlm replay --task LiftBox",
+    ),
+    Verb(
+        name="segment",
+        group="demonstrations",
+        help="show where a demonstration is cut, and at which contacts",
+        example="demohlm segment --task LiftBox",
+    ),
+    Verb(
+        name="generate",
+        group="data",
+        help="turn one demonstration into a LeRobot dataset of many episodes",
+        example="demohlm generate --task LiftBox --region R3 --num-episodes 100 --num-workers 2 --root data/lift_box",
+    ),
+    Verb(
+        name="push",
+        group="data",
+        help="upload a dataset to the Hugging Face hub",
+        example="demohlm push --root data/lift_box --repo-id USER/lift_box",
+    ),
+    Verb(
+        name="train",
+        group="policies",
+        help="train a policy on a dataset by a preset, with LeRobot's training and the data held in memory",
+        example="demohlm train --root data/lift_box --policy act --preset cpu --output outputs/lift_box",
+    ),
+    Verb(
+        name="evaluate",
+        group="policies",
+        help="roll a policy out from seeded starts and write one JSON line an episode",
+        example="demohlm evaluate --policy outputs/lift_box/pretrained_model --task LiftBox --region R2",
+    ),
+    Verb(
+        name="reproduce",
+        group="policies",
+        help="run what is missing of one of the paper's tables: generate, train, roll out",
+        example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
+    ),
+    Verb(
+        name="verify",
+        group="checks",
+        help="simulate episodes of a dataset again and compare them with it, bit for bit",
+        example="demohlm verify --root data/lift_box --sample 20",
+    ),
+    Verb(
+        name="lint-task",
+        group="checks",
+        help="check what a task calls success and failure, what it lets a policy see, and its physics",
+        example="demohlm lint-task LiftBox",
+    ),
+    Verb(
+        name="report",
+        group="reports",
+        help="write one HTML page about a dataset and the rollouts of a policy, or about the experiments",
+        example="demohlm report --root data/lift_box --evaluation results.jsonl --output report.html",
+    ),
+    Verb(
+        name="explain",
+        group="reports",
+        help="write an HTML page that explains a generation run, or one of its attempts",
+        example="demohlm explain --root data/lift_box --attempt 3 --output attempt_3.html",
+    ),
+    Verb(
+        name="gallery",
+        group="reports",
+        help="draw an episode of each task as film strips and videos from two cameras, on one HTML page",
+        example="demohlm gallery --root outputs/gallery",
+    ),
+    Verb(
+        name="results",
+        group="reports",
+        help="turn the measured results of this repository into tables",
+        example="demohlm results",
+    ),
+    Verb(
+        name="benchmark",
+        group="benchmarks",
+        help="run the benchmarks of simulation, generation and dataset and sum them up",
+        example="demohlm benchmark --task LiftBox",
+    ),
+    Verb(
+        name="benchmark simulation",
+        group="benchmarks",
+        help="measure how many physics steps a second the simulation makes, and MuJoCo's step alone",
+        example="demohlm benchmark simulation --task LiftBox",
+    ),
+    Verb(
+        name="benchmark generation",
+        group="benchmarks",
+        help="measure the CPU time of attempts, where it goes, and the episodes an hour and core",
+        example="demohlm benchmark generation --task LiftBox --region R2 --num-attempts 16",
+    ),
+    Verb(
+        name="benchmark dataset",
+        group="benchmarks",
+        help="measure how many episodes a second are written, by LeRobot's writer too, and the memory of a long run",
+        example="demohlm benchmark dataset",
+    ),
+    Verb(
+        name="benchmark loading",
+        group="benchmarks",
+        help="measure how many samples a second LeRobot's loader gives, and ours from memory",
+        example="demohlm benchmark loading --chunk 20 --batch-size 512",
+    ),
+    Verb(
+        name="benchmark training",
+        group="benchmarks",
+        help="measure how many samples a second lerobot-train takes with data in memory, and as LeRobot reads them",
+        example="demohlm benchmark training --policies mlp",
+    ),
+    Verb(
+        name="benchmark evaluation",
+        group="benchmarks",
+        help="measure how many rollouts an hour lerobot-eval makes, and demohlm evaluate",
+        example="demohlm benchmark evaluation --task LiftBox",
+    ),
+    Verb(
+        name="benchmark controller",
+        group="benchmarks",
+        help="measure how well the whole-body controller follows its commands",
+        example="demohlm benchmark controller",
+        moved={
+            "--robustness": "benchmark controller robustness",
+            "--trade-off": "benchmark controller trade-off",
+            "--peer": "benchmark controller peer",
+            "--peer-range": "benchmark controller peer --own-range",
+            "--figures": "benchmark controller figures",
+            "--run": "benchmark controller figures",
+            "--compare": "benchmark controller compare",
+        },
+    ),
+    Verb(
+        name="benchmark controller robustness",
+        group="benchmarks",
+        help="measure how often the robot stays up under disturbances that training did not aim at",
+        example="demohlm benchmark controller robustness --num-worlds 64",
+    ),
+    Verb(
+        name="benchmark controller trade-off",
+        group="benchmarks",
+        help="measure and draw the controller's errors over shares of its command range and over hand loads",
+        example="demohlm benchmark controller trade-off --root docs --num-worlds 48",
+    ),
+    Verb(
+        name="benchmark controller peer",
+        group="benchmarks",
+        help="measure a public controller as ours is measured",
+        example="demohlm benchmark controller peer --name holosoma --hand-load 0",
+    ),
+    Verb(
+        name="benchmark controller figures",
+        group="benchmarks",
+        help="draw figures of the controller and a video of it",
+        example="demohlm benchmark controller figures --root docs --run runs/controller",
+    ),
+    Verb(
+        name="benchmark controller compare",
+        group="benchmarks",
+        help="draw the learning curves of several training runs of the controller",
+        example="demohlm benchmark controller compare --root docs --runs runs/full runs/no_symmetry",
+    ),
+    Verb(
+        name="benchmark reach",
+        group="benchmarks",
+        help="measure how near the palms come to targets, and draw where they can",
+        example="demohlm benchmark reach --output docs/reach.png",
+    ),
+    Verb(
+        name="train-controller",
+        group="training",
+        help="train the whole-body controller by reinforcement learning",
+        example="demohlm train-controller --hours 2",
+    ),
+)
+
+
+def overview() -> str:
+    """Return what ``demohlm --help`` prints: every verb with what it does, by group."""
+    width = max(len(verb.name) for verb in VERBS)
+    lines = [
+        "usage: demohlm VERB [OPTIONS]",
+        "",
+        "One demonstration of a humanoid at work in, checked LeRobot datasets and scored policies out.",
+    ]
+    for group in GROUPS:
+        lines += ["", f"{group}:"]
+        lines += [f"  {verb.name:<{width}}  {verb.help}" for verb in VERBS if verb.group == group]
+    lines += [
+        "",
+        "`demohlm VERB --help` says more about each. `demohlm --print-completion bash` (or zsh) prints a script that",
+        "completes verbs and options in the shell.",
+    ]
+    return "\n".join(lines)

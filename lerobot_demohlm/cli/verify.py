@@ -1,0 +1,65 @@
+"""``demohlm verify``."""
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from lerobot_demohlm.cli.parsing import default
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm verify``.
+
+    Attributes:
+        root: Dataset of `demohlm generate`, or its failures.
+        task: Where a task from outside the package is defined, as my_module:MyTask.
+        episodes: Which episodes: all, or numbers such as 0,5,17.
+        sample: Verify this many of those episodes, drawn at random.
+        seed: Seed of that draw.
+        num_workers: Processes.
+    """
+
+    root: Path
+    task: Annotated[str | None, default("the dataset's task")] = None
+    episodes: str = "all"
+    sample: Annotated[int | None, default("all of them")] = None
+    seed: int = 0
+    num_workers: int = 1
+
+
+def run(options: Options) -> int:
+    """Verify a dataset; exit code 1 where any bit differs. The last line on stdout is a JSON object."""
+    from gym_demohlm.registry import get_task
+    from lerobot_demohlm.checks.verify import SHOWN, choose, verify
+    from lerobot_demohlm.datasets import reader
+    from lerobot_demohlm.datasets.facts import read_facts
+
+    root = options.root
+    task = get_task(options.task or read_facts(root)["task"])
+    began = time.monotonic()
+    chosen = choose(options.episodes, options.sample, len(reader.lengths(root)), options.seed)
+    outcome = verify(root, task, chosen, options.num_workers, _say, show_progress=True)
+    for difference in outcome.differences[:SHOWN]:
+        print(difference)
+    if len(outcome.differences) > SHOWN:
+        print(f"and {len(outcome.differences) - SHOWN} more")
+    if outcome.identical:
+        print(
+            f"{outcome.episodes} episodes, {outcome.steps} steps: every bit as generated, "
+            "observations, success, physics, controller and contacts"
+        )
+    content = asdict(outcome) | {"identical": outcome.identical, "episodes_that_differ": len(outcome.differences)}
+    content["differences"] = content["differences"][:SHOWN]
+    content["seconds"] = round(time.monotonic() - began, 1)
+    print(json.dumps(content))
+    return 0 if outcome.identical else 1
+
+
+def _say(different: tuple[str, ...]) -> None:
+    for line in different:
+        print(line, flush=True)
+    if different:
+        print("bits hold for one installation and one family of processors: this alone may change them", flush=True)
