@@ -119,24 +119,23 @@ def run(quickstart: Quickstart) -> Path:
         recorder = Recorder()
         with _quiet():
             loaded = load_policy(checkpoint, quickstart.task)
-        records = evaluate(
+        rollouts = evaluate(
             loaded,
             Setting(task=quickstart.task, region=quickstart.region, num_threads=quickstart.num_workers),
             range(FIRST_SEED, FIRST_SEED + quickstart.num_rollouts),
             quickstart.root / "rollouts.jsonl",
             on_step=recorder,
         )
-        success = summarize(records)["success_held"]
+        success = summarize(rollouts)["success_held"]
         low, high = success["interval"]
         _say(f"Success {100 * success['rate']:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f} %)")
 
     with _step(durations, 4, "Writing video and report"):
-        from lerobot_demohlm.reports.report import Film, render_report, write_video
+        from lerobot_demohlm.reports.films import Film, write_video
+        from lerobot_demohlm.reports.report import render_report
 
-        first = records[0]
-        caption = (
-            f"Rollout from seed {first['seed']}: {first['outcome'].replace('_', ' ')} after {first['length_s']:.1f} s"
-        )
+        first = rollouts[0]
+        caption = f"Rollout from seed {first.seed}: {first.outcome.replace('_', ' ')} after {first.length_s:.1f} s"
         film = Film(frames=recorder.frames, caption=caption)
         video = quickstart.root / "rollout.mp4" if film.frames else None
         if video is not None:
@@ -144,7 +143,7 @@ def run(quickstart: Quickstart) -> Path:
         page = render_report(
             title=f"{quickstart.task}: from one demonstration to a policy",
             facts=read_facts(dataset_root),
-            records=records,
+            rollouts=rollouts,
             films=[film] if film.frames else [],
             video=video,
             video_caption=caption,

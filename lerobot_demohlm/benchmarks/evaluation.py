@@ -90,13 +90,13 @@ def measure(
         loaded = load_policy(policy, setting.task)
         seeds = range(FIRST_SEED, FIRST_SEED + num_episodes)
         began = time.monotonic()
-        records = evaluate(loaded, setting, seeds, Path(scratch) / "rollouts.jsonl")
+        rollouts = evaluate(loaded, setting, seeds, Path(scratch) / "rollouts.jsonl")
         ours_s = time.monotonic() - began
-    both = list(zip(theirs, [record["success_held"] for record in records], strict=False))
+    both = list(zip(theirs, [rollout.success_held for rollout in rollouts], strict=False))
     return {
         "task": get_task(setting.task).name,
         "policy": loaded.kind,
-        "mean_length_s": round(float(np.mean([record["length_s"] for record in records])), 1),
+        "mean_length_s": round(float(np.mean([rollout.length_s for rollout in rollouts])), 1),
         "num_workers": setting.num_workers,
         "num_worlds": setting.num_worlds,
         "lerobot_worlds": lerobot_batch_size or "as many as it chooses",

@@ -70,5 +70,5 @@ def run(options: Options) -> None:
     loaded = load_policy(options.policy, options.task, options.device)
     seeds = range(options.seed, options.seed + options.num_episodes)
     with tempfile.TemporaryDirectory() as scratch:
-        records = evaluate(loaded, setting, seeds, options.output or Path(scratch) / "rollouts.jsonl")
-    print(json.dumps({"task": get_task(options.task).name, "region": options.region, **summarize(records)}))
+        rollouts = evaluate(loaded, setting, seeds, options.output or Path(scratch) / "rollouts.jsonl")
+    print(json.dumps({"task": get_task(options.task).name, "region": options.region, **summarize(rollouts)}))

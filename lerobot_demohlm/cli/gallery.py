@@ -40,7 +40,8 @@ def run(options: Options) -> None:
     """Write strips, videos and pages; a task that fails is shown as it failed."""
     from gym_demohlm.registry import all_tasks, get_task
     from lerobot_demohlm.datasets.facts import require_new_root
-    from lerobot_demohlm.reports.gallery import generated_take, policy_take, write_pages, write_take
+    from lerobot_demohlm.reports.films import generated_take, policy_take, write_take
+    from lerobot_demohlm.reports.gallery import write_pages
 
     require_new_root(options.root)
     tasks = [get_task(name) for name in options.task] if options.task else list(all_tasks().values())

@@ -52,13 +52,13 @@ def run(options: Options) -> int:
         found[task.name]["CPU time"] = round(time.process_time() - began, 1)
         print(format_table(task.name, checks), end="\n\n", flush=True)
         if options.results is not None:
-            from lerobot_demohlm.experiments import lines
-            from lerobot_demohlm.experiments.plan import stamp
+            from lerobot_demohlm.checks import portability
+            from lerobot_demohlm.reproducibility.results import append_result
 
             line = {"task": task.name, **asdict(settings), "failed": failed[task.name], "found": found[task.name]}
-            line["stamp"] = stamp(task.name)
+            line["stamp"] = portability.stamp(task)
             call = spelled("lint-task", replace(options, task=task.name), ("root", "no_demonstration", "results"))
-            lines.append(options.results / "lint.jsonl", call, line)
+            append_result(options.results / "lint.jsonl", call, line)
     ok = not any(failed.values())
     print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
     return 0 if ok else 1

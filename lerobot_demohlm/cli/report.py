@@ -19,6 +19,7 @@ class Options:
         results: Folder of JSON lines; the report is on the experiments then.
         experiments: The --root of `demohlm reproduce`, for a report on the experiments.
         num_videos: Failures of each policy to film, in a report on the experiments.
+        num_workers: Processes that film.
         figures: Folder into which the figures of a report on the experiments go, too, as SVG.
         output: HTML file; must not exist.
     """
@@ -29,6 +30,7 @@ class Options:
     results: Annotated[Path | None, default("none")] = None
     experiments: Path = Path("outputs/experiments")
     num_videos: int = 0
+    num_workers: int = 1
     figures: Annotated[Path | None, default("none")] = None
     output: Path
 
@@ -37,6 +39,9 @@ def run(options: Options) -> None:
     """Write a report of what is given."""
     if options.output.exists():
         raise DatasetError(f"the file {options.output}, which exists", "a new file", "choose another --output")
+    if options.num_videos < 0 or options.num_workers < 1:
+        got = f"num_videos={options.num_videos}, num_workers={options.num_workers}"
+        raise DatasetError(got, "0 or more videos and 1 or more workers", "correct them")
     page = _page(options) if options.results is None else _experiments_page(options, options.results)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(page)
@@ -44,19 +49,19 @@ def run(options: Options) -> None:
 
 
 def _experiments_page(options: Options, results: Path) -> str:
-    from lerobot_demohlm.experiments.page import render_page, write_figures
     from lerobot_demohlm.experiments.plan import Layout
+    from lerobot_demohlm.reports.experiments_page import render_page, write_figures
 
     if not results.is_dir():
         raise DatasetError(f"no folder {results}", "a folder of JSON lines", "check --results")
     if options.figures is not None:
         write_figures(results, options.figures)
-    return render_page(Layout(root=options.experiments, results=results), options.num_videos)
+    return render_page(Layout(root=options.experiments, results=results), options.num_videos, options.num_workers)
 
 
 def _page(options: Options) -> str:
     from lerobot_demohlm.datasets.facts import read_facts
-    from lerobot_demohlm.evaluation.evaluate import read_records
+    from lerobot_demohlm.evaluation.evaluate import read_rollouts
     from lerobot_demohlm.reports.report import render_report
 
     if options.evaluation is None and options.root is None:
@@ -64,12 +69,15 @@ def _page(options: Options) -> str:
     if options.video is not None and not options.video.is_file():
         raise DatasetError(f"no file {options.video}", "an MP4", "check --video")
     facts = None if options.root is None else read_facts(options.root)
-    records = [] if options.evaluation is None else read_records(options.evaluation)
-    shown = records[0] if records else facts or {}
+    rollouts = [] if options.evaluation is None else read_rollouts(options.evaluation)
+    if rollouts:
+        title = f"{rollouts[0].task}, {rollouts[0].region}"
+    else:
+        title = "" if facts is None else f"{facts['task']}, {facts['region']}"
     return render_report(
-        title=f"{shown['task']}, {shown['region']}",
+        title=title,
         facts=facts,
-        records=records,
+        rollouts=rollouts,
         video=options.video,
         video_caption="" if options.video is None else options.video.name,
     )

@@ -13,18 +13,22 @@ class Options:
 
     Attributes:
         results: Folder of JSON lines.
-        readme: Put the tables into this file instead of printing them.
+        output: Write all tables to this file, such as docs/results.md.
+        readme: Put the table with one row a task between the markers of this file.
     """
 
     results: Path = Path("results")
-    readme: Annotated[Path | None, default("print them")] = None
+    output: Annotated[Path | None, default("print them")] = None
+    readme: Annotated[Path | None, default("none")] = None
 
 
 def run(options: Options) -> None:
-    """Print the tables, or put them into a file."""
-    from lerobot_demohlm.experiments.readme_tables import tables, update_readme
+    """Print all tables, or write the files that are named."""
+    from lerobot_demohlm.experiments.readme_tables import tables, update_readme, write_results
 
-    if options.readme is None:
+    if options.output is None and options.readme is None:
         print(tables(options.results))
-    elif update_readme(options.readme, options.results):
+    if options.output is not None and write_results(options.output, options.results):
+        print(f"updated {options.output}")
+    if options.readme is not None and update_readme(options.readme, options.results):
         print(f"updated {options.readme}")

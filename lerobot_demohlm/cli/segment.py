@@ -14,7 +14,7 @@ class Options:
     Attributes:
         task: Name of the task, such as LiftBox.
         root: Directory of the demonstration.
-        figure: Draw the timeline into this PNG file.
+        figure: Draw the timeline into this PNG or SVG file.
         write_corrections: Write the segments to meta/segments.json, to be corrected there by hand.
     """
 

@@ -33,6 +33,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.episode import OUTCOMES
 from lerobot_demohlm.reproducibility import provenance
@@ -135,7 +136,7 @@ def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, 
     """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
     content = asdict(facts) | {"code_hash": provenance.code_hash()} | count_attempts(records)
     (root / FACTS_PATH).write_text(json.dumps(content, indent=2) + "\n")
-    (root / ATTEMPTS_PATH).write_text("".join(json.dumps(record) + "\n" for record in records))
+    jsonl.write(root / ATTEMPTS_PATH, records)
     return content
 
 
@@ -189,15 +190,9 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     Raises:
         DatasetError: There is no such file, or it is damaged.
     """
-    try:
-        records = [json.loads(line) for line in path.read_text().splitlines()]
-        sound = all(isinstance(record, dict) for record in records) and all(
-            record["outcome"] in OUTCOMES
-            and all(type(record[key]) is int and record[key] >= 0 for key in ("attempt", "frames"))
-            for record in records
-        )
-    except (OSError, ValueError, KeyError, RecursionError) as error:
-        raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
-    if not sound:
-        raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")
+    records = jsonl.read(path)
+    for number, record in enumerate(records, start=1):
+        counts = [record.get(key) for key in ("attempt", "frames")]
+        if record.get("outcome") not in OUTCOMES or not all(type(count) is int and count >= 0 for count in counts):
+            raise DatasetError(f"{path}:{number}, damaged", "an attempt", "generate the dataset again")
     return records

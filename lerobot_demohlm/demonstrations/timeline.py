@@ -1,80 +1,149 @@
 """A demonstration -> a figure of its timeline: contact forces, gripper commands and what each hand follows when."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from gym_demohlm.control import command
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
-from gym_demohlm.timing import FPS
+from gym_demohlm.task import Task
+from gym_demohlm.timing import FPS, STEP_DT
+from lerobot_demohlm import drawing
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import events, segment
+from lerobot_demohlm.demonstrations.segments import Event, Segment
 
-WIDTH, MARGIN, TOP = 1200, 190, 60  # px
-ROW, BAR = 90, 40  # px: height of a curve and of a bar
-INK, PALE, WHITE = (40, 44, 52), (205, 210, 218), (255, 255, 255)
-FOLLOWS = {"object": (122, 178, 222), "proprioception": (244, 190, 120)}
-CURVES = {"left": (54, 104, 172), "right": (186, 74, 62)}
+WIDTH, LEFT, RIGHT, TOP, BOTTOM = 1000, 190, 20, 40, 34  # px
+CURVE, BAR, GAP = 52, 30, 22  # px: heights of a curve, of a bar, and between them
+FOLLOWS = {"object": "#7ab2de", "proprioception": "#f4be78"}
+CURVES = {"left": "#3668ac", "right": "#ba4a3e"}
 
 
-def draw_timeline(demonstration: Demonstration) -> Image.Image:
-    """Return the figure: for each hand its forces on objects [N], its gripper where it has one, and its segments."""
-    task = get_task(demonstration.task)
-    segments = segment(demonstration)
-    rows: list[tuple[str, str, np.ndarray | None]] = []
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Row:
+    """One row of the figure: a curve over time, or the segments of a hand.
+
+    Attributes:
+        hand: "left" or "right".
+        title: What the row shows, with the unit.
+        values: (T,) of a curve; None for segments.
+        object: The object that a force acts on; None for a gripper.
+    """
+
+    hand: str
+    title: str
+    values: np.ndarray | None = None
+    object: str | None = None
+
+    def events_of(self, found: Sequence[Event]) -> list[Event]:
+        """Return the events that belong to this curve: touches of its object, or of its gripper."""
+        if self.values is None:
+            return []
+        return [event for event in found if event.hand == self.hand and event.object == self.object]
+
+
+def rows(task: Task, demonstration: Demonstration) -> list[Row]:
+    """Return the rows of a demonstration's figure, hand by hand: forces, the gripper, segments.
+
+    Args:
+        task: Task of the demonstration.
+        demonstration: The demonstration.
+    """
+    found = []
     for hand in g1.SIDES:
         for column, (side, name) in enumerate(task.contact_pairs):
             if side == hand:
-                rows.append((hand, f"{hand} on {name} [N]", demonstration.contact_forces[:, column]))
+                forces = demonstration.contact_forces[:, column]
+                found.append(Row(hand=hand, title=f"{hand} hand on {name} [N]", values=forces, object=name))
         if task.hands == "gripper":
             closed = demonstration.action[:, command.GRIPPERS][:, g1.SIDES.index(hand)]
-            rows.append((hand, f"{hand} gripper, closed", closed))
-        rows.append((hand, f"{hand} follows", None))
-    heights = [BAR + 24 if curve is None else ROW for _, _, curve in rows]
-    image = Image.new("RGB", (WIDTH, TOP + sum(heights) + 50), WHITE)
-    pen, font, small = ImageDraw.Draw(image), ImageFont.load_default(20), ImageFont.load_default(14)
-    pen.text((MARGIN, 18), f"{task.name}: {len(demonstration)} ticks of {1 / FPS:g} s", INK, font)
-    bottom = TOP + sum(heights)
+            found.append(Row(hand=hand, title=f"{hand} gripper closed", values=closed))
+        found.append(Row(hand=hand, title=f"{hand} hand follows"))
+    return found
 
-    def x(tick: float) -> float:
-        return MARGIN + (WIDTH - MARGIN - 30) * tick / len(demonstration)
 
-    for second in range(len(demonstration) // FPS + 1):
-        pen.line([(x(second * FPS), TOP - 6), (x(second * FPS), bottom)], PALE if second % 5 else (160, 166, 176))
-        if second % 5 == 0:
-            pen.text((x(second * FPS) - 4, bottom + 6), f"{second} s", INK, small)
-    y = TOP
-    for (hand, title, curve), height in zip(rows, heights, strict=True):
-        pen.text((12, y + height / 2 - 12), title, INK, small)
-        if curve is None:
-            for entry in (entry for entry in segments if entry.hand == hand):
-                box = [x(entry.start) + 1, y + 8, x(entry.stop) - 1, y + 8 + BAR]
-                pen.rectangle(box, FOLLOWS[entry.kind])
-                words = entry.object if entry.kind == "object" else f"itself ({entry.anchor})"
-                if pen.textlength(str(words), small) < box[2] - box[0] - 8:
-                    pen.text((box[0] + 6, y + 19), str(words), INK, small)
+def draw_timeline(demonstration: Demonstration) -> Figure:
+    """Return the figure: for each hand its forces on objects [N], its gripper where it has one, and its segments."""
+    task = get_task(demonstration.task)
+    segments, found = segment(demonstration), events(demonstration)
+    shown = rows(task, demonstration)
+    heights = [BAR if row.values is None else CURVE for row in shown]
+    figure = drawing.new_figure(WIDTH, TOP + sum(heights) + GAP * len(shown) + BOTTOM - GAP)
+    top = TOP
+    for row, height in zip(shown, heights, strict=True):
+        axes = drawing.new_axes(figure, LEFT, top, WIDTH - LEFT - RIGHT, height)
+        axes.set_xlim(0.0, len(demonstration) * STEP_DT)
+        drawing.round_ticks(axes, across=12)
+        drawing.grid(axes, "x")
+        _write_left(axes, row.title)
+        if row.values is None:
+            _draw_segments(axes, [entry for entry in segments if entry.hand == row.hand])
         else:
-            top = max(1.0, float(curve.max()))
-            points = [
-                (x(tick + 0.5), y + height - 14 - (height - 38) * value / top) for tick, value in enumerate(curve)
-            ]
-            pen.line([(x(0), y + height - 14), (x(len(curve)), y + height - 14)], PALE)
-            pen.line(points, CURVES[hand], 2, joint="curve")
-            pen.text((MARGIN - 44, y + 6), f"{top:.3g}", INK, small)
-            for event in events(demonstration):
-                of_curve = title.startswith(f"{hand} on {event.object}") or (
-                    event.object is None and "gripper" in title
-                )
-                if event.hand == hand and of_curve:
-                    pen.line([(x(event.tick), y + 4), (x(event.tick), y + height - 14)], INK)
-                    pen.text((x(event.tick) + 4, y + 2), event.kind, INK, small)
-        y += height
-    return image
+            _draw_curve(axes, row.values, CURVES[row.hand], row.events_of(found))
+        if row is shown[-1]:
+            axes.set_xlabel("time [s]", fontsize=11, color=drawing.INK, labelpad=2)
+        else:
+            axes.tick_params(labelbottom=False)
+        if row is shown[0]:
+            title = f"{task.name}: {len(demonstration)} ticks of {STEP_DT:g} s"
+            axes.set_title(title, loc="left", fontsize=13, color=drawing.INK, pad=14)
+        top += height + GAP
+    return figure
+
+
+def _write_left(axes: Axes, words: str) -> None:
+    """Write what a row shows to its left, clear of its ticks."""
+    axes.annotate(
+        words,
+        (0.0, 0.5),
+        (-44, 0),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=11,
+        color=drawing.INK,
+    )
+
+
+def _draw_curve(axes: Axes, values: np.ndarray, colour: str, marked: Sequence[Event]) -> None:
+    most = max(1.0, float(values.max()))
+    axes.set_ylim(0.0, 1.08 * most)
+    axes.set_yticks([0.0, most], ["0", f"{most:.3g}"])
+    axes.plot((np.arange(len(values)) + 0.5) / FPS, values, color=colour, linewidth=1.6)
+    for event in marked:
+        axes.axvline(event.tick / FPS, color=drawing.INK, linewidth=0.9)
+        late = event.tick > 0.93 * len(values)
+        axes.annotate(
+            event.kind,
+            (event.tick / FPS, 1.0),
+            (0, 2),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="right" if late else "left",
+            va="bottom",
+            fontsize=10,
+            color=drawing.INK,
+        )
+
+
+def _draw_segments(axes: Axes, segments: Sequence[Segment]) -> None:
+    axes.set(ylim=(0.0, 1.0), yticks=())
+    across = axes.get_xlim()[1] / (WIDTH - LEFT - RIGHT)  # seconds a pixel
+    for entry in segments:
+        start, stop = entry.start / FPS, entry.stop / FPS
+        words = str(entry.object) if entry.kind == "object" else f"itself ({entry.anchor})"
+        (bar,) = axes.barh(0.5, stop - start, 0.9, start, color=FOLLOWS[entry.kind], edgecolor="white", zorder=2)
+        drawing.add_tip(bar, f"{words}, {start:.1f} to {stop:.1f} s")
+        if 7.0 * len(words) * across < stop - start:
+            axes.text(start + 5 * across, 0.5, words, ha="left", va="center", fontsize=11, color=drawing.INK, zorder=3)
 
 
 def write_timeline(demonstration: Demonstration, path: Path) -> None:
-    """Write the figure as a PNG."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw_timeline(demonstration).save(path)
+    """Write the figure, as an SVG where the path ends in ``.svg``, as a PNG elsewhere."""
+    drawing.save(draw_timeline(demonstration), path)

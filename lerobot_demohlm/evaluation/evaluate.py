@@ -1,16 +1,18 @@
 """Rollouts of a policy -> one JSON line an episode, resumed where they were killed, and rates with Wilson intervals."""
 
-import json
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.episode import OUTCOMES
-from lerobot_demohlm.datasets.facts import count_outcomes
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, roll_batches
 
 FIRST_SEED = 1_000_000
@@ -26,7 +28,7 @@ def evaluate(
     *,
     deadline: float = math.inf,
     on_step: OnStep | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Rollout]:
     """Roll out and append one JSON line an episode to a file; a call that was killed is resumed by the same call.
 
     A batch is made again whole where one of its lines is missing, so that a policy that draws random numbers gives the
@@ -41,7 +43,7 @@ def evaluate(
         on_step: See ``OnStep``; with one worker only.
 
     Returns:
-        The records in the file of these seeds, in their order; fewer where the deadline came first.
+        The rollouts in the file that have these seeds, in the order of the seeds; fewer where the deadline came first.
 
     Raises:
         DatasetError: The file holds rollouts of something else.
@@ -55,24 +57,24 @@ def evaluate(
         "policy_hash": loaded.hash,
     }
     setting = setting.limited(len(seeds))  # of all seeds, so that a resumed batch is as wide as it was
-    found = {record["seed"]: record for record in resumed_records(output, header)}
+    found = {rollout.seed: rollout for rollout in resumed_rollouts(output, header)}
     pending = [batch for batch in setting.batches(seeds) if not found.keys() >= set(batch)]
     with tqdm(total=len(seeds), initial=sum(seed in found for seed in seeds), desc="rollouts", unit="episode") as bar:
-        for records in _until(deadline, roll_batches(loaded, setting, pending, on_step=on_step)):
-            new = [record for record in records if record["seed"] not in found]
-            append_records(output, new)
-            found |= {record["seed"]: record for record in new}
+        for batch in _until(deadline, roll_batches(loaded, setting, pending, on_step=on_step)):
+            new = [rollout for rollout in batch if rollout.seed not in found]
+            jsonl.append(output, map(asdict, new))
+            found |= {rollout.seed: rollout for rollout in new}
             bar.update(len(new))
     return [found[seed] for seed in seeds if seed in found]
 
 
-def _until(deadline: float, batches: Iterator[list[dict[str, Any]]]) -> Iterator[list[dict[str, Any]]]:
+def _until(deadline: float, batches: Iterator[list[Rollout]]) -> Iterator[list[Rollout]]:
     """Yield batches until the deadline has passed."""
     while time.monotonic() < deadline:
-        records = next(batches, None)
-        if records is None:
+        batch = next(batches, None)
+        if batch is None:
             return
-        yield records
+        yield batch
 
 
 def wilson(successes: int, count: int, z: float = 1.959964) -> tuple[float, float]:
@@ -91,68 +93,51 @@ def wilson(successes: int, count: int, z: float = 1.959964) -> tuple[float, floa
     return max(0.0, min(rate, centre - half)), min(1.0, max(rate, centre + half))  # min and max: rounding at 0 and 1
 
 
-def summarize(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summarize(rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return the success rates of rollouts with their intervals, and the count of each outcome."""
-    content: dict[str, Any] = {"episodes": len(records)}
+    content: dict[str, Any] = {"episodes": len(rollouts)}
     for name in SUCCESSES:
-        successes = sum(record[name] for record in records)
-        low, high = wilson(successes, len(records))
-        content[name] = {"rate": round(successes / len(records), 4), "interval": [round(low, 4), round(high, 4)]}
-    return content | {"outcomes": count_outcomes(records)}
+        successes = sum(getattr(rollout, name) for rollout in rollouts)
+        low, high = wilson(successes, len(rollouts))
+        content[name] = {"rate": round(successes / len(rollouts), 4), "interval": [round(low, 4), round(high, 4)]}
+    counts = Counter(rollout.outcome for rollout in rollouts)
+    return content | {"outcomes": {outcome: counts[outcome] for outcome in OUTCOMES}}
 
 
-def append_records(path: Path, records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Append records as they come, one JSON line each, and return them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    written = []
-    with path.open("a") as file:
-        for record in records:
-            file.write(json.dumps(record) + "\n")
-            file.flush()
-            written.append(record)
-    return written
-
-
-def resumed_records(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the records that a killed evaluation left, none where there is no file; a torn last line is cut off.
+def resumed_rollouts(path: Path, header: Mapping[str, Any]) -> list[Rollout]:
+    """Return the rollouts that a killed evaluation left, none where there is no file; a torn last line is cut off.
 
     Args:
         path: The file.
-        header: What every record must say, by key.
+        header: What every rollout must say, by field.
 
     Raises:
-        DatasetError: A record says something else, or the file holds no records.
+        DatasetError: A rollout says something else, or the file holds no rollouts.
     """
     if not path.exists():
         return []
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        with path.open("r+b") as file:
-            file.truncate(len(whole))
-    if not whole:
+    jsonl.cut_torn_line(path)
+    if not path.stat().st_size:
         return []
-    records = read_records(path)
-    for record in records:
+    rollouts = read_rollouts(path)
+    for rollout in rollouts:
         for key, value in header.items():
-            if record.get(key) != value:
+            if getattr(rollout, key) != value:
                 raise DatasetError(
-                    f"{path} with rollouts of {key}={record.get(key)}", f"{key}={value}", "choose another --output"
+                    f"{path} with rollouts of {key}={getattr(rollout, key)}",
+                    f"{key}={value}",
+                    "choose another --output",
                 )
-    return records
+    return rollouts
 
 
-def read_records(path: Path) -> list[dict[str, Any]]:
-    """Return the records of a file of ``demohlm evaluate``.
+def read_rollouts(path: Path) -> list[Rollout]:
+    """Return the rollouts of a file of ``demohlm evaluate``.
 
     Raises:
-        DatasetError: There is no such file, or it holds something else.
+        DatasetError: There is no such file, it holds something else, or nothing.
     """
-    try:
-        records = [json.loads(line) for line in Path(path).read_text().splitlines()]
-        valid = bool(records) and all(record["outcome"] in OUTCOMES for record in records)
-    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
-        raise DatasetError(f"{path} ({error})", "a file of `demohlm evaluate`", "check the path") from error
-    if not valid:
+    rollouts = jsonl.read_as(Rollout, path)
+    if not rollouts:
         raise DatasetError(f"{path} without rollouts", "a file of `demohlm evaluate`", "check the path")
-    return records
+    return rollouts

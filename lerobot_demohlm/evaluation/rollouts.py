@@ -21,6 +21,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 NUM_WORLDS = 16  # at a time: as many as the rows that a policy is given at least, see batch_rows.py
@@ -174,8 +175,8 @@ class Setting:
 
 def rollouts(
     loaded: LoadedPolicy, setting: Setting, seeds: Sequence[int], *, on_step: OnStep | None = None
-) -> Iterator[dict[str, Any]]:
-    """Yield one record an episode, in the order of the seeds.
+) -> Iterator[Rollout]:
+    """Yield one rollout an episode, in the order of the seeds.
 
     The worlds of a batch begin together and share the policy's action queue; those whose episode has ended wait for
     the last one at no cost.
@@ -187,14 +188,14 @@ def rollouts(
         on_step: See ``OnStep``; with one worker only.
     """
     setting = setting.limited(len(seeds))
-    for records in roll_batches(loaded, setting, setting.batches(seeds), on_step=on_step):
-        yield from records
+    for batch in roll_batches(loaded, setting, setting.batches(seeds), on_step=on_step):
+        yield from batch
 
 
 def roll_batches(
     loaded: LoadedPolicy, setting: Setting, batches: Sequence[Sequence[int]], *, on_step: OnStep | None = None
-) -> Iterator[list[dict[str, Any]]]:
-    """Yield the records of each batch of at most ``setting.num_worlds`` seeds, in order; see ``rollouts``.
+) -> Iterator[list[Rollout]]:
+    """Yield the rollouts of each batch of at most ``setting.num_worlds`` seeds, in order; see ``rollouts``.
 
     Raises:
         PolicyError: Several workers for a policy that is not on the CPU, or that are to be watched.
@@ -229,7 +230,7 @@ def _start_worker(loaded: LoadedPolicy, setting: Setting) -> None:
     _worker.update(loaded=loaded, env=_environment(loaded, setting))
 
 
-def _batch_in_worker(seeds: Sequence[int]) -> list[dict[str, Any]]:
+def _batch_in_worker(seeds: Sequence[int]) -> list[Rollout]:
     return _batch(_worker["loaded"], _worker["env"], seeds, None)
 
 
@@ -246,9 +247,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
     )
 
 
-def _batch(
-    loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None
-) -> list[dict[str, Any]]:
+def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None) -> list[Rollout]:
     """Roll out one batch; worlds beyond the seeds rest."""
     import torch
 
@@ -274,22 +273,22 @@ def _batch(
         if on_step is not None:
             on_step(env, going)
     return [
-        {
-            "task": env.task,
-            "policy": loaded.kind,
-            "policy_hash": loaded.hash,
-            "num_train_episodes": loaded.num_train_episodes,
-            "train_seed": loaded.train_seed,
-            "region": env.region,
-            "seed": seed,
-            "success_ever": bool(infos["success_ever"][world]),
-            "success_end": bool(infos["success"][world]),
-            "success_held": bool(infos["success_held"][world]),
-            "outcome": _outcome({name: bool(infos[name][world]) for name in infos if not name.startswith("_")}),
-            "length_s": round(int(steps[world]) / env.metadata["render_fps"], 1),
-            "clipped": int(clipped[world]),
-            "initial_state": starts[world],
-        }
+        Rollout(
+            task=env.task,
+            policy=loaded.kind,
+            policy_hash=loaded.hash,
+            num_train_episodes=loaded.num_train_episodes,
+            train_seed=loaded.train_seed,
+            region=env.region,
+            seed=seed,
+            success_ever=bool(infos["success_ever"][world]),
+            success_end=bool(infos["success"][world]),
+            success_held=bool(infos["success_held"][world]),
+            outcome=_outcome({name: bool(infos[name][world]) for name in infos if not name.startswith("_")}),
+            length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
+            clipped=int(clipped[world]),
+            initial_state=starts[world],
+        )
         for world, seed in enumerate(seeds)
     ]
 

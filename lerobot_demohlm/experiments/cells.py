@@ -1,4 +1,4 @@
-"""One cell of a table -> its line of results: generate what is missing, train, roll out; each resumes where it was."""
+"""One cell of a table -> its result: generate what is missing, train, roll out; each resumes where it was."""
 
 import json
 import math
@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -17,6 +16,7 @@ from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.policies.presets import get_preset
@@ -24,7 +24,6 @@ from lerobot_demohlm.policies.training import checkpoint, train
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
-Line = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +48,8 @@ class Effort:
         return time.monotonic() >= self.deadline
 
 
-def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> Line | None:
-    """Return a cell's line of results, or None where the time was up before it was done.
+def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> PolicyResult | GenerationResult | None:
+    """Return a cell's result, or None where the time was up before it was done.
 
     Args:
         cell: Which.
@@ -81,8 +80,8 @@ def _alone(directory: Path) -> Iterator[None]:
         lock.release()
 
 
-def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None:
-    """Return the line of the first attempts in a region: those of a dataset that was made to train on, or new ones."""
+def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationResult | None:
+    """Return the result of the first attempts in a region: of a dataset to train on, or new ones."""
     count = effort.num_attempts
     root = layout.generation(cell, count)
     made = [*([root] if root.exists() else []), *layout.datasets(cell.task, cell.region)]
@@ -93,13 +92,13 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None
         generate(replace(_request(cell, root), num_attempts=count, **VARIANTS[PLAIN]))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
-    return {
+    return GenerationResult(
         **asdict(cell),
-        "seed": DATA_SEED,
+        seed=DATA_SEED,
         **count_attempts(records[:count]),
-        "episode_s": round(sum(lengths) / len(lengths), 2) if lengths else None,
-        "stamp": stamp(cell.task),
-    }
+        episode_s=round(sum(lengths) / len(lengths), 2) if lengths else None,
+        stamp=stamp(cell.task),
+    )
 
 
 def _request(cell: Cell | RegionCell, root: Path) -> GenerationRequest:
@@ -113,7 +112,7 @@ def _request(cell: Cell | RegionCell, root: Path) -> GenerationRequest:
     )
 
 
-def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
+def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | None:
     dataset = layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant)
     if not dataset.exists():
         if effort.is_over:
@@ -126,33 +125,33 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
             return None
         _train(cell, dataset, training, effort)
     began, output = time.monotonic(), layout.rollouts(cell)
-    before = len(output.read_text().splitlines()) if output.exists() else 0
-    records = evaluate(
+    before = output.read_bytes().count(b"\n") if output.exists() else 0  # the last line may be torn
+    rollouts = evaluate(
         load_policy(checkpoint(training), cell.task, effort.device),
         Setting(task=cell.task, region=cell.region),
         range(FIRST_SEED, FIRST_SEED + effort.num_rollouts),
         output,
         deadline=effort.deadline,
     )
-    made, elapsed = len(records) - before, time.monotonic() - began
-    if len(records) < effort.num_rollouts:
+    made, elapsed = len(rollouts) - before, time.monotonic() - began
+    if len(rollouts) < effort.num_rollouts:
         return None
-    return {
+    return PolicyResult(
         **asdict(cell),
-        "recipe": cell.recipe,
-        "stamp": stamp(cell.task),
-        "policy_type": records[0]["policy"],
-        "policy_hash": records[0]["policy_hash"],
-        "first_seed": FIRST_SEED,
-        "episodes": len(records),
-        "successes": sum(record["success_held"] for record in records),
-        "successes_end": sum(record["success_end"] for record in records),
-        "successes_ever": sum(record["success_ever"] for record in records),
-        "outcomes": dict(Counter(record["outcome"] for record in records)),
-        "data_success_rate": read_facts(dataset)["success_rate"],
-        "rollouts_per_hour": round(3600 * made / elapsed) if made > 0 else None,
+        recipe=cell.recipe,
+        stamp=stamp(cell.task),
+        policy_type=rollouts[0].policy,
+        policy_hash=rollouts[0].policy_hash,
+        first_seed=FIRST_SEED,
+        episodes=len(rollouts),
+        successes=sum(rollout.success_held for rollout in rollouts),
+        successes_end=sum(rollout.success_end for rollout in rollouts),
+        successes_ever=sum(rollout.success_ever for rollout in rollouts),
+        outcomes=dict(Counter(rollout.outcome for rollout in rollouts)),
+        data_success_rate=read_facts(dataset)["success_rate"],
+        rollouts_per_hour=round(3600 * made / elapsed) if made > 0 else None,
         **json.loads(_times_file(training).read_text()),
-    }
+    )
 
 
 def _times_file(training: Path) -> Path:

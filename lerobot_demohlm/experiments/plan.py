@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.checks import portability
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.policies.presets import POLICIES, get_preset
 from lerobot_demohlm.reproducibility import provenance
 
@@ -81,10 +81,10 @@ class Cell:
         """Return eight letters that change with the preset's hyperparameters and the steps."""
         return _digest(get_preset(self.policy, self.preset), self.steps)
 
-    def is_of(self, line: dict[str, Any]) -> bool:
-        """Tell whether a line of results is this cell's, as the cell would be made now."""
+    def is_of(self, result: PolicyResult) -> bool:
+        """Tell whether a result is this cell's, as the cell would be made now."""
         mine = {**asdict(self), "recipe": self.recipe, "stamp": stamp(self.task)}
-        return {key: line.get(key) for key in mine} == mine
+        return {key: getattr(result, key) for key in mine} == mine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,17 +99,10 @@ class RegionCell:
     task: str
     region: str
 
-    def is_of(self, line: dict[str, Any]) -> bool:
-        """Tell whether a line of results is this cell's, as the cell would be made now."""
+    def is_of(self, result: GenerationResult) -> bool:
+        """Tell whether a result is this cell's, as the cell would be made now."""
         mine = (self.task, self.region, stamp(self.task))
-        return is_plain(line) and (line.get("task"), line.get("region"), line.get("stamp")) == mine
-
-
-def is_plain(line: dict[str, Any]) -> bool:
-    """Tell whether a line of ``generation.jsonl`` is of attempts as tables count them: nothing disturbed, one try."""
-    return not any(line.get(name) for name in ("retries", "command_noise", "stance_spread")) and (
-        line.get("start_spread", 1.0) == 1.0
-    )
+        return result.is_plain and (result.task, result.region, result.stamp) == mine
 
 
 def _suffix(variant: str) -> tuple[str, ...]:

@@ -1,24 +1,29 @@
-"""Lines of results -> the paper's figures as SVG: success by data size, by policy and by region; failures by start."""
+"""Lines of results -> the paper's figures: success by data size, by policy and by region; failures by start."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 
 from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm import drawing
 from lerobot_demohlm.evaluation.evaluate import wilson
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import paper
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
 from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, latest, mean_rate, rate
 from lerobot_demohlm.policies.presets import POLICIES
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 170, 34, 16, 24, 26  # of one panel and of its margins [px]
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
+LEGEND = 28  # px, below the panels
 COLOURS = {"mlp": "#2f6f4f", "act": "#2b5f9e", "diffusion": "#8a5aa8", "paper": "#9aa2ab", "generation": "#2f6f4f"}
-Line = dict[str, Any]
+_BAR = 0.07  # of a panel's width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +31,7 @@ class Curve:
     """One line of a panel.
 
     Attributes:
-        name: What it is; a key of COLOURS.
+        name: What it shows; a key of COLOURS.
         points: (place on the horizontal axis in [0, 1], rate, low, high), rates in [0, 1].
     """
 
@@ -39,7 +44,7 @@ class Panel:
     """One small plot, its vertical axis a rate from 0 to 100 %.
 
     Attributes:
-        title: Above it.
+        title: Above it; a second line after ", an" for results of an earlier version.
         ticks: (place in [0, 1], text) along the horizontal axis.
         curves: What it shows.
         bars: Whether points are bars from below rather than joined by lines.
@@ -50,49 +55,34 @@ class Panel:
     curves: Sequence[Curve] = field(default_factory=tuple)
     bars: bool = False
 
-    def svg(self) -> str:
-        """Return the panel as SVG elements with the origin at its upper left corner."""
-        across, down = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
-
-        def place(x: float, y: float) -> tuple[float, float]:
-            return LEFT + x * across, TOP + (1 - y) * down
-
-        parts = [f'<text x="{LEFT}" y="14" font-weight="600">{escape(self.title)}</text>']
-        for share in (0.0, 0.5, 1.0):
-            x, y = place(0, share)
-            parts.append(f'<line x1="{x}" y1="{y}" x2="{x + across}" y2="{y}" stroke="#e1e5ea"/>')
-            parts.append(f'<text x="{x - 4}" y="{y + 4}" text-anchor="end">{100 * share:.0f}</text>')
-        for where, text in self.ticks:
-            x, y = place(where, 0)
-            parts.append(f'<text x="{x:.1f}" y="{y + 15}" text-anchor="middle">{escape(text)}</text>')
+    def draw(self, axes: Axes) -> None:
+        """Draw the panel."""
+        drawing.title(axes, self.title.replace(", an earlier version", "\nan earlier version"), fontweight="bold")
+        axes.set(xlim=(-0.04, 1.04), ylim=(0.0, 104.0), yticks=(0, 50, 100))
+        axes.set_xticks([place for place, _ in self.ticks], [text for _, text in self.ticks])
+        for side in ("top", "right", "left"):
+            axes.spines[side].set_visible(False)
+        drawing.grid(axes, "y")
         for curve in self.curves:
-            parts += self._curve(curve, place)
-        return "".join(parts)
-
-    def _curve(self, curve: Curve, place: Callable[[float, float], tuple[float, float]]) -> list[str]:
-        colour, parts = COLOURS[curve.name], []
-        corners = []
-        for x, mean, low, high in curve.points:
-            u, v = place(x, mean)
-            (_, top), (_, bottom) = place(x, high), place(x, low)
-            corners.append(f"{u:.1f},{v:.1f}")
+            places, means, lows, highs = 100 * np.array(curve.points, dtype=float).reshape(-1, 4).T
+            places, colour = places / 100, COLOURS[curve.name]
+            tip = [
+                f"{curve.name}: {mean:.1f} % ({low:.1f} to {high:.1f})"
+                for mean, low, high in zip(means, lows, highs, strict=True)
+            ]
             if self.bars:
-                floor = place(x, 0)[1]
-                parts.append(f'<rect x="{u - 8:.1f}" y="{v:.1f}" width="16" height="{floor - v:.1f}" fill="{colour}"/>')
+                for bar, text in zip(axes.bar(places, means, _BAR, color=colour), tip, strict=True):
+                    drawing.add_tip(bar, text)
             else:
-                parts.append(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3" fill="{colour}"/>')
-            whisker = "#1b1f24" if self.bars else colour
-            if high > low:
-                ends = f'x1="{u:.1f}" y1="{top:.1f}" x2="{u:.1f}" y2="{bottom:.1f}"'
-                parts.append(f'<line {ends} stroke="{whisker}"/>')
-        if not self.bars and len(corners) > 1:
-            parts.insert(
-                0, f'<polyline points="{" ".join(corners)}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
-            )
-        return parts
+                axes.plot(places, means, "-", color=colour, linewidth=1.5)
+                for place, mean, text in zip(places, means, tip, strict=True):
+                    (dot,) = axes.plot(place, mean, "o", color=colour, markersize=5, clip_on=False)
+                    drawing.add_tip(dot, text)
+            wide = highs > lows
+            axes.vlines(places[wide], lows[wide], highs[wide], drawing.INK if self.bars else colour, linewidth=1.2)
 
 
-def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) -> str:
+def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) -> Figure:
     """Return panels in rows, with a legend below.
 
     Args:
@@ -102,34 +92,38 @@ def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) 
     """
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
-    width, height = max(columns * WIDTH, 120 * len(names)), rows * HEIGHT + 24
-    parts = [
-        f'<g transform="translate({index % columns * WIDTH} {index // columns * HEIGHT})">{panel.svg()}</g>'
-        for index, panel in enumerate(panels)
-    ]
-    for index, (name, text) in enumerate(names.items()):
-        x = LEFT + 120 * index
-        parts.append(f'<rect x="{x}" y="{height - 16}" width="10" height="10" fill="{COLOURS[name]}"/>')
-        parts.append(f'<text x="{x + 15}" y="{height - 7}">{escape(text)}</text>')
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
-    style = 'font-family="system-ui, sans-serif" font-size="11" fill="#1b1f24"'
-    return f'{head} {style}><rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
+    width, height = max(columns * WIDTH, 120 * len(names)), rows * HEIGHT + LEGEND
+    drawn = drawing.new_figure(width, height)
+    for index, panel in enumerate(panels):
+        left, top = LEFT + index % columns * WIDTH, TOP + index // columns * HEIGHT
+        panel.draw(drawing.new_axes(drawn, left, top, WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM))
+    handles = [Patch(color=COLOURS[name], label=text) for name, text in names.items()]
+    drawn.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=((LEFT - 8) / width, 0.0),
+        ncols=len(handles),
+        frameon=False,
+        fontsize=drawing.FONT_SIZE,
+        handlelength=1.0,
+    )
+    return drawn
 
 
-def _chosen(lines: Sequence[Line], preset: str) -> list[Line]:
-    """Return the lines that the paper's figures are drawn from."""
+def _chosen(lines: Sequence[PolicyResult], preset: str) -> list[PolicyResult]:
+    """Return the results that the paper's figures are drawn from."""
     found = latest(lines, DEFAULT_VARIANT)
-    return [line for line in found if (line["region"], line["preset"]) == (DEFAULT_REGION, preset)]
+    return [line for line in found if (line.region, line.preset) == (DEFAULT_REGION, preset)]
 
 
-def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
+def size_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | None:
     """Return success against the number of training episodes, a panel a task and one for their mean."""
     chosen = _chosen(lines, preset)
     cells = group(chosen, "task", "policy", "num_train_episodes")
     if not cells:
-        return ""
+        return None
     tasks = list(dict.fromkeys(task for task, *_ in cells))
-    ages = {line["task"]: age(line) for line in chosen}
+    ages = {line.task: age(line) for line in chosen}
     sizes = sorted({size for *_, size in cells} | set(paper.SIZES))
     span = math.log(sizes[-1] / sizes[0])
     places = {size: math.log(size / sizes[0]) / span for size in sizes}
@@ -158,7 +152,7 @@ def size_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
     return figure(panels, {policy: TITLES[policy] for policy in policies} | {"paper": "paper (ACT)"})
 
 
-def architectures_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
+def architectures_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | None:
     """Return bars of success by policy, a panel a task, at the size that most policies have, the largest of several."""
     panels = []
     chosen = _chosen(lines, preset)
@@ -179,59 +173,62 @@ def architectures_figure(lines: Sequence[Line], preset: str = "cpu") -> str:
                 curves.append(Curve(name=policy, points=[(where - 0.04, mean, low, high)]))
         panels.append(Panel(title=f"{task}, {size} episodes{age(found[0])}", ticks=ticks, curves=curves, bars=True))
     names = {policy: TITLES[policy] for policy in POLICIES} | {"paper": f"paper ({paper.ARCHITECTURE_SIZE})"}
-    return figure(panels, names) if panels else ""
+    return figure(panels, names) if panels else None
 
 
-def regions_figure(lines: Sequence[Line]) -> str:
+def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
     """Return the success of generation by region, a panel a task with all three regions."""
     ticks = [((2 * index + 1) / 6, region) for index, region in enumerate(REGIONS)]
     panels = []
     for task, found in by_region(lines).items():
         ours, theirs = [], []
         for (where, region), line in zip(ticks, found, strict=True):
-            successes, attempts = line["successes"], line["attempts"]
+            successes, attempts = line.successes, line.attempts
             ours.append((where, successes / attempts, *wilson(successes, attempts)))
             if (task, region) in paper.GENERATION:
                 theirs.append((where, *[paper.GENERATION[task, region] / 100] * 3))
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
         panels.append(Panel(title=task + age(found[0]), ticks=ticks, curves=curves))
-    return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else ""
+    return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else None
 
 
-def failure_map(records: Sequence[Mapping[str, Any]], bins: int = 8, size: int = 260) -> str:
+def failure_map(rollouts: Sequence[Rollout], bins: int = 8, size: int = 260) -> Figure:
     """Return a heat map of failures over where the robot stood at the start.
 
     Args:
-        records: Rollouts of one task and region.
+        rollouts: Of one task and region.
         bins: Cells along the longer side.
-        size: Its length [px].
+        size: Length of the longer side [px].
     """
-    starts = np.array([record["initial_state"]["robot"][:2] for record in records], dtype=float)  # (N, 2) [m]
-    failed = np.array([not record["success_held"] for record in records])
+    starts = np.array([rollout.initial_state["robot"][:2] for rollout in rollouts], dtype=float)  # (N, 2) [m]
+    failed = np.array([not rollout.success_held for rollout in rollouts])
     low, high = starts.min(axis=0), starts.max(axis=0) + 1e-6
     edge = (high - low).max() / bins
     shape = np.maximum(1, np.ceil((high - low) / edge - 1e-9)).astype(int)
     cells = np.minimum(((starts - low) / edge).astype(int), shape - 1)
-    side = size / bins
-    parts = []
+    width, height = shape * size / bins
+    drawn = drawing.new_figure(width + 70, height + 46)
+    axes = drawing.new_axes(drawn, 52, 8, width, height)
+    axes.set(xlim=(low[0], low[0] + shape[0] * edge), ylim=(low[1], low[1] + shape[1] * edge))
+    axes.set_xlabel("x [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
+    axes.set_ylabel("y [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
+    drawing.round_ticks(axes, across=4 if width > 120 else 2, up=4 if height > 80 else 1)
     for x, y in np.ndindex(*shape):
         inside = (cells == (x, y)).all(axis=1)
         count, bad = int(inside.sum()), int(failed[inside].sum())
-        share = bad / count if count else 0.0
-        colour = (
-            f"rgb({round(246 - 65 * share)},{round(248 - 176 * share)},{round(250 - 203 * share)})" if count else "none"
-        )
-        u, v = x * side, (shape[1] - 1 - y) * side
-        parts.append(
-            f'<rect x="{u:.1f}" y="{v:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}" stroke="#c8ced6">'
-            f"<title>{bad} of {count} failed</title></rect>"
-        )
+        corner = low + edge * np.array([x, y])
+        colour = drawing.rate_colour(1 - bad / count) if count else "none"
+        cell = Rectangle((corner[0], corner[1]), edge, edge, facecolor=colour, edgecolor="#c8ced6", linewidth=0.7)
+        drawing.add_tip(cell, f"{bad} of {count} failed")
+        axes.add_patch(cell)
         if bad:
-            parts.append(
-                f'<text x="{u + side / 2:.1f}" y="{v + side / 2 + 4:.1f}" text-anchor="middle">{bad}/{count}</text>'
+            axes.text(
+                corner[0] + edge / 2,
+                corner[1] + edge / 2,
+                f"{bad}/{count}",
+                fontsize=9,
+                ha="center",
+                va="center",
+                color=drawing.INK,
             )
-    width, height = shape * side
-    label = f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m"
-    parts.append(f'<text x="0" y="{height + 14:.0f}">{label}</text>')
-    size_text = f'width="{width:.0f}" height="{height + 18:.0f}"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {size_text} font-size="10">{"".join(parts)}</svg>'
+    return drawn

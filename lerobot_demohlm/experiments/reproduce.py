@@ -13,34 +13,34 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from functools import partial
-from typing import Any
 
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.experiments import lines
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
-Line = dict[str, Any]
+Result = PolicyResult | GenerationResult
 
 
 def missing(
     cells: Sequence[Cell | RegionCell], layout: Layout, num_rollouts: int = 1, num_attempts: int = 1
 ) -> list[Cell | RegionCell]:
     """Return the cells without a line of results of so many rollouts or attempts, in their order."""
-    policies = [line for line in lines.read(layout.policies_file) if line.get("episodes", 0) >= num_rollouts]
-    regions = [line for line in lines.read(layout.generation_file) if line.get("attempts", 0) >= num_attempts]
+    policies = [found for found in lines.read_policies(layout.policies_file) if found.episodes >= num_rollouts]
+    regions = [found for found in lines.read_generation(layout.generation_file) if found.attempts >= num_attempts]
     return [
         cell
         for cell in cells
-        if not any(cell.is_of(line) for line in (policies if isinstance(cell, Cell) else regions))
+        if not any(map(cell.is_of, policies) if isinstance(cell, Cell) else map(cell.is_of, regions))
     ]
 
 
 def reproduce(
     cells: Sequence[Cell | RegionCell],
     layout: Layout,
-    run: Callable[[Cell | RegionCell], Line | None],
+    run: Callable[[Cell | RegionCell], Result | None],
     *,
     num_workers: int = 1,
     deadline: float = math.inf,
@@ -56,8 +56,8 @@ def reproduce(
         run: What runs a cell, None where its time was up; importable, as it is called in other processes.
         num_workers: Cells at a time; one waits while another makes the data that both need.
         deadline: Begin no cell after this time (``time.monotonic``) [s].
-        num_rollouts: A line of fewer rollouts is not enough,
-        num_attempts: nor one of fewer attempts.
+        num_rollouts: Minimum rollouts for an existing result of a policy to be kept.
+        num_attempts: Minimum attempts for an existing result of generation to be kept.
         command: What the lines say that they come from.
 
     Returns:
@@ -78,23 +78,23 @@ def reproduce(
                     print(f"begun: {describe(cell)}, {len(waiting)} after it", file=sys.stderr, flush=True)
             if not working:
                 return done, failures
-            ended: set[Future[Line | None]] = wait(working, return_when=FIRST_COMPLETED).done
+            ended: set[Future[Result | None]] = wait(working, return_when=FIRST_COMPLETED).done
             for future in ended:
                 cell = working.pop(future)
                 try:
-                    line = future.result()
+                    result = future.result()
                 except Exception as error:  # whatever became of one cell, the others go on
                     kind = "" if isinstance(error, DemoHLMError) else f"{type(error).__name__}: "
                     failures.append(f"{describe(cell)}: {kind}{error}")
                     print(f"failed: {failures[-1]}", file=sys.stderr, flush=True)
                     continue
-                if line is not None:
+                if result is not None:
                     file = layout.generation_file if isinstance(cell, RegionCell) else layout.policies_file
-                    lines.append(file, command, line)
+                    lines.append(file, command, result)
                     done += 1
 
 
-def _run_apart(run: Callable[[Cell | RegionCell], Line | None], cell: Cell | RegionCell) -> Line | None:
+def _run_apart(run: Callable[[Cell | RegionCell], Result | None], cell: Cell | RegionCell) -> Result | None:
     """Run a cell in a new process."""
     context, module = multiprocessing.get_context("spawn"), get_task(cell.task).module
     with ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(module,)) as process:

@@ -2,27 +2,42 @@
 
 from collections.abc import Iterable, Sequence
 from decimal import ROUND_HALF_UP, Decimal
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments import paper
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS, VARIANTS, is_plain, stamp
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS, VARIANTS, stamp
 from lerobot_demohlm.policies.presets import POLICIES
 
 RESAMPLES = 10_000
+EARLIER = ", an earlier version"
 VARIANT_NOTES = {
     "noise": "commands are executed with noise and recorded without",
     "starts": "wider starts of the robot",
     "stances": "it acts from places that are a little off",
 }
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
-Line = dict[str, Any]
 
 
-def rate(lines: Sequence[Line]) -> tuple[float, float, float]:
+class Stamped(Protocol):
+    """A result of a task, with the digest of what generation did with the task when it was measured."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        ...
+
+    @property
+    def stamp(self) -> str | None:
+        """Digest of what generation did with the task; None where it was not written down."""
+        ...
+
+
+def rate(lines: Sequence[PolicyResult]) -> tuple[float, float, float]:
     """Return the success rate of one cell of a table and its 95 % interval, in [0, 1].
 
     One training: Wilson's interval over its rollouts. Several: see ``mean_rate``.
@@ -32,11 +47,11 @@ def rate(lines: Sequence[Line]) -> tuple[float, float, float]:
     """
     if len(lines) > 1:
         return mean_rate([lines])
-    successes, episodes = lines[0]["successes"], lines[0]["episodes"]
+    successes, episodes = lines[0].successes, lines[0].episodes
     return successes / episodes, *wilson(successes, episodes)
 
 
-def mean_rate(cells: Sequence[Sequence[Line]]) -> tuple[float, float, float]:
+def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, float]:
     """Return the mean success rate of several cells and its 95 % interval, in [0, 1].
 
     A bootstrap draws trainings of each cell and, for each, a rate that its rollouts allow (Jeffreys' posterior, which
@@ -48,7 +63,7 @@ def mean_rate(cells: Sequence[Sequence[Line]]) -> tuple[float, float, float]:
     rng = np.random.default_rng(0)
     means, drawn_means = [], []
     for lines in cells:
-        counts = np.array([[line["successes"], line["episodes"]] for line in lines])  # (trainings, 2)
+        counts = np.array([[line.successes, line.episodes] for line in lines])  # (trainings, 2)
         means.append((counts[:, 0] / counts[:, 1]).mean())
         drawn = rng.integers(len(lines), size=(RESAMPLES, len(lines)))
         successes, failures = counts[drawn, 0], counts[drawn, 1] - counts[drawn, 0]
@@ -58,7 +73,7 @@ def mean_rate(cells: Sequence[Sequence[Line]]) -> tuple[float, float, float]:
     return mean, min(mean, low), max(mean, high)
 
 
-def latest(lines: Iterable[Line], variant: str | None = None) -> list[Line]:
+def latest(lines: Iterable[PolicyResult], variant: str | None = None) -> list[PolicyResult]:
     """Keep the last line of each cell, of those with the controller and demonstration of their task's last line.
 
     Args:
@@ -66,26 +81,26 @@ def latest(lines: Iterable[Line], variant: str | None = None) -> list[Line]:
         variant: Keep lines of this one only.
     """
     lines = list(lines)
-    stamps = {line["task"]: line["stamp"] for line in lines}
+    stamps = {line.task: line.stamp for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
-    current = [line for line in lines if line["stamp"] == stamps[line["task"]] and variant in (None, line["variant"])]
-    return list({tuple(line[key] for key in keys): line for line in current}.values())
+    current = [line for line in lines if line.stamp == stamps[line.task] and variant in (None, line.variant)]
+    return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
 
 
-def age(line: Line) -> str:
+def age(line: Stamped) -> str:
     """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
-    return "" if line.get("stamp") == stamp(line["task"]) else ", an earlier version"
+    return "" if line.stamp == stamp(line.task) else EARLIER
 
 
-def group(lines: Iterable[Line], *keys: str) -> dict[tuple[Any, ...], list[Line]]:
+def group(lines: Iterable[PolicyResult], *keys: str) -> dict[tuple[Any, ...], list[PolicyResult]]:
     """Collect lines that agree in some keys, sorted by them."""
-    groups: dict[tuple[Any, ...], list[Line]] = {}
+    groups: dict[tuple[Any, ...], list[PolicyResult]] = {}
     for line in lines:
-        groups.setdefault(tuple(line[key] for key in keys), []).append(line)
+        groups.setdefault(tuple(getattr(line, key) for key in keys), []).append(line)
     return dict(sorted(groups.items()))
 
 
-def percent(lines: Sequence[Line] | None) -> str:
+def percent(lines: Sequence[PolicyResult] | None) -> str:
     """Return a rate with its interval, and how many trainings are behind it where it is not one."""
     if not lines:
         return "-"
@@ -114,7 +129,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def main_table(lines: Iterable[Line]) -> str:
+def main_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by the number of training episodes, one row a task; the paper's is ACT."""
     current = latest(lines, DEFAULT_VARIANT)
     cells = group(current, "task", "num_train_episodes", "policy", "preset")
@@ -139,7 +154,7 @@ def main_table(lines: Iterable[Line]) -> str:
     )
 
 
-def architectures_table(lines: Iterable[Line]) -> str:
+def architectures_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by policy, for tasks and sizes with more than one of them."""
     current = latest(lines, DEFAULT_VARIANT)
     cells, tasks = group(current, "task", "num_train_episodes", "preset", "policy"), _labels(current)
@@ -159,21 +174,21 @@ def architectures_table(lines: Iterable[Line]) -> str:
     return f"{title}\n\n" + markdown(header, rows)
 
 
-def by_region(lines: Iterable[Line]) -> dict[str, list[Line]]:
+def by_region(lines: Iterable[GenerationResult]) -> dict[str, list[GenerationResult]]:
     """Return the last line of each region in order, for tasks with all three that are of the same version."""
-    own = [line for line in lines if is_plain(line)]
-    stamps = {line["task"]: line.get("stamp") for line in own}
-    last = {(line["task"], line["region"]): line for line in own if line.get("stamp") == stamps[line["task"]]}
+    own = [line for line in lines if line.is_plain]
+    stamps = {line.task: line.stamp for line in own}
+    last = {(line.task, line.region): line for line in own if line.stamp == stamps[line.task]}
     tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
     return {task: [last[task, region] for region in REGIONS] for task in tasks}
 
 
-def regions_table(lines: Iterable[Line]) -> str:
+def regions_table(lines: Iterable[GenerationResult]) -> str:
     """Return the success of generation by region, for tasks with all three."""
     rows = []
     for task, found in by_region(lines).items():
         theirs = [number(paper.GENERATION.get((task, region))) for region in REGIONS]
-        ours = [share(line["successes"], line["attempts"]) for line in found]
+        ours = [share(line.successes, line.attempts) for line in found]
         rows.append([task + age(found[0]), *ours, *theirs])
     if not rows:
         return ""
@@ -181,18 +196,18 @@ def regions_table(lines: Iterable[Line]) -> str:
     return "**Generation success by initial region** [%]\n\n" + markdown(header, rows)
 
 
-def variants_table(lines: Iterable[Line]) -> str:
+def variants_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by the way the training data was generated, for what was trained on more than one."""
     lines = latest(lines)
     cells = group(lines, "task", "policy", "preset", "num_train_episodes", "region", "variant")
     tasks = _labels(lines)
-    names = [name for name in VARIANTS if any(line["variant"] == name for line in lines)]
+    names = [name for name in VARIANTS if any(line.variant == name for line in lines)]
     rows = []
     for key in dict.fromkeys(key[:-1] for key in cells):
         ours = [cells.get((*key, name)) for name in names]
         if sum(found is not None for found in ours) > 1:
             task, policy, preset, size, region = key
-            shares = [found[0].get("data_success_rate") if found else None for found in ours]
+            shares = [found[0].data_success_rate if found else None for found in ours]
             generated = [number(None if share is None else 100 * share) for share in shares]
             rows.append([tasks[task], region, method_title(policy, preset), str(size), *map(percent, ours), *generated])
     if not rows:
@@ -203,17 +218,17 @@ def variants_table(lines: Iterable[Line]) -> str:
     return "; ".join([title, *notes]) + "\n\n" + markdown(header, rows)
 
 
-def cost_table(lines: Iterable[Line]) -> str:
+def cost_table(lines: Iterable[PolicyResult]) -> str:
     """Return what the trainings and the rollouts took."""
     rows = []
     for (policy, preset), found in group(latest(lines), "policy", "preset").items():
-        hours = [line["rollouts_per_hour"] for line in found if line["rollouts_per_hour"]]
+        hours = [line.rollouts_per_hour for line in found if line.rollouts_per_hour]
         rows.append(
             [
                 f"{TITLES[policy]}, {preset}",
                 str(len(found)),
-                f"{np.median([line['train_s'] for line in found]) / 60:.1f} min",
-                f"{np.median([line['train_samples_per_s'] for line in found]):.0f}",
+                f"{np.median([line.train_s for line in found]) / 60:.1f} min",
+                f"{np.median([line.train_samples_per_s for line in found]):.0f}",
                 f"{np.median(hours):.0f}" if hours else "-",
             ]
         )
@@ -222,15 +237,15 @@ def cost_table(lines: Iterable[Line]) -> str:
     return f"{title}\n\n" + markdown(header, rows)
 
 
-def experiments_tables(lines: list[Line]) -> str:
+def experiments_tables(lines: Sequence[PolicyResult]) -> str:
     """Return every table that lines of ``experiments.jsonl`` fill."""
-    parts = [main_table(line for line in lines if line["region"] == DEFAULT_REGION), architectures_table(lines)]
+    parts = [main_table(line for line in lines if line.region == DEFAULT_REGION), architectures_table(lines)]
     return "\n\n".join(part for part in (*parts, variants_table(lines), cost_table(lines)) if part)
 
 
-def _labels(lines: Iterable[Line]) -> dict[str, str]:
+def _labels(lines: Iterable[PolicyResult]) -> dict[str, str]:
     """Return the tasks of lines, sorted, and what a table calls each."""
-    return {line["task"]: line["task"] + age(line) for line in sorted(lines, key=lambda line: line["task"])}
+    return {line.task: line.task + age(line) for line in sorted(lines, key=lambda line: line.task)}
 
 
 def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:

@@ -21,6 +21,7 @@ from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import GenerationFacts, read_records
@@ -61,7 +62,7 @@ def write_block(directory: Path, facts: GenerationFacts, attempts: range, episod
             f"attempts {[episode.index for episode in episodes]}", f"attempts {list(attempts)}", "give all, in order"
         )
     with _appearing(directory, attempts) as temporary:
-        (temporary / RECORDS).write_text("".join(json.dumps(episode.record()) + "\n" for episode in episodes))
+        jsonl.write(temporary / RECORDS, [episode.record() for episode in episodes])
         kept = {"episodes": [episode for episode in episodes if episode.outcome == "success"]}
         if facts.keep_failures:
             kept["failures"] = [e for e in episodes if e.outcome != "success" and len(e.success) > 0]

@@ -2,19 +2,21 @@
 
 import base64
 import importlib.resources
-import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
+from lerobot_demohlm import drawing
 from lerobot_demohlm.datasets.facts import installed_versions
 from lerobot_demohlm.evaluation.evaluate import summarize, wilson
+from lerobot_demohlm.evaluation.rollout import Rollout
+from lerobot_demohlm.reports.films import Film, film_strip
 
 SUCCESS_TEXTS = {
     "success_held": "held for 1 s",
@@ -23,90 +25,37 @@ SUCCESS_TEXTS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Film:
-    """Pictures of one episode.
-
-    Attributes:
-        frames: (T, height, width, 3) uint8.
-        caption: What it shows.
-        fps: Frames a second of simulated time.
-    """
-
-    frames: Sequence[np.ndarray]
-    caption: str
-    fps: int = 10
-
-
-def film_strip(film: Film, count: int = 8, width: int = 240) -> bytes:
-    """Return a PNG of frames from the first to the last, two rows, each with its time.
+def starts_plot(rollouts: Sequence[Rollout], size: int = 360) -> Figure:
+    """Return where the robot stood at the start of each rollout and where it faced, coloured by success.
 
     Args:
-        film: What to show.
-        count: Frames shown, at most; even numbers fill the rows.
-        width: Of a frame [px].
+        rollouts: Of one task and region.
+        size: Length of the longer side [px].
     """
-    from PIL import Image, ImageDraw
-
-    chosen = np.unique(np.linspace(0, len(film.frames) - 1, count).round().astype(int))
-    height = round(width * film.frames[0].shape[0] / film.frames[0].shape[1])
-    columns = math.ceil(len(chosen) / 2)
-    strip = Image.new("RGB", (columns * width, math.ceil(len(chosen) / columns) * height), "white")
-    for place, index in enumerate(chosen):
-        picture = Image.fromarray(film.frames[index]).resize((width, height), Image.Resampling.LANCZOS)
-        ImageDraw.Draw(picture).text(
-            (6, 4), f"{index / film.fps:.1f} s", fill="white", stroke_width=1, stroke_fill="black"
-        )
-        strip.paste(picture, (place % columns * width, place // columns * height))
-    stream = io.BytesIO()
-    strip.save(stream, "PNG", optimize=True)
-    return stream.getvalue()
-
-
-def write_video(path: Path, film: Film) -> None:
-    """Write a film as MP4."""
-    from lerobot.utils.io_utils import write_video as write
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write(path, list(film.frames), film.fps)
-
-
-def starts_plot(records: Sequence[Mapping[str, Any]], size: int = 360) -> str:
-    """Return an SVG of where the robot stood at the start of each rollout, coloured by success.
-
-    Args:
-        records: Of ``evaluation.rollouts``.
-        size: Width [px].
-    """
-    robots = np.array(
-        [record["initial_state"]["robot"] for record in records], dtype=float
-    )  # (N, 3) x, y [m], yaw [rad]
-    low, high = robots[:, :2].min(axis=0) - 0.1, robots[:, :2].max(axis=0) + 0.1
-    scale = size / (high - low).max()
-    shapes = []
-    for (x, y, yaw), record in zip(robots, records, strict=True):
-        u, v = (x - low[0]) * scale, (high[1] - y) * scale
-        du, dv = 10 * math.cos(yaw), -10 * math.sin(yaw)
-        colour = "#2f6f4f" if record["success_held"] else "#b5482f"
-        shapes.append(
-            f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3.5" fill="{colour}"/>'
-            f'<line x1="{u:.1f}" y1="{v:.1f}" x2="{u + du:.1f}" y2="{v + dv:.1f}" stroke="{colour}"/>'
-        )
-    width, height = (high - low) * scale
-    box = f'<rect width="{width:.0f}" height="{height:.0f}" fill="#f6f8fa" stroke="#c8ced6"/>'
-    label = (
-        f'<text x="4" y="{height + 14:.0f}" font-size="12">x {low[0]:.2f} to {high[0]:.2f} m, '
-        f"y {low[1]:.2f} to {high[1]:.2f} m</text>"
-    )
-    size_text = f'width="{width:.0f}" height="{height + 18:.0f}"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {size_text}>{box}{"".join(shapes)}{label}</svg>'
+    robots = np.array([rollout.initial_state["robot"] for rollout in rollouts], dtype=float)  # (N, 3) x, y [m], yaw
+    width, height = drawing.plan_size(robots[:, :2], 0.1, size)
+    figure = drawing.new_figure(width + 66, height + 46)
+    axes = drawing.new_axes(figure, 52, 8, width, height)
+    drawing.equal_scale(axes, robots[:, :2], 0.1)
+    axes.set_facecolor(drawing.PAPER)
+    drawing.grid(axes)
+    axes.set_xlabel("x [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
+    axes.set_ylabel("y [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
+    length = 10 * (axes.get_xlim()[1] - axes.get_xlim()[0]) / width  # [m], of 10 px
+    for (x, y, yaw), rollout in zip(robots, rollouts, strict=True):
+        colour = drawing.GOOD if rollout.success_held else drawing.BAD
+        ahead = (x + length * math.cos(yaw), y + length * math.sin(yaw))
+        axes.plot((x, ahead[0]), (y, ahead[1]), color=colour, linewidth=1.0)
+        (dot,) = axes.plot(x, y, "o", color=colour, markersize=6)
+        drawing.add_tip(dot, f"seed {rollout.seed}: {rollout.outcome.replace('_', ' ')}")
+    return figure
 
 
 def render_report(
     *,
     title: str,
     facts: Mapping[str, Any] | None = None,
-    records: Sequence[Mapping[str, Any]] = (),
+    rollouts: Sequence[Rollout] = (),
     films: Sequence[Film] = (),
     video: Path | None = None,
     video_caption: str = "",
@@ -117,7 +66,7 @@ def render_report(
     Args:
         title: Heading.
         facts: ``meta/demohlm.json`` of the dataset, if it is to be shown.
-        records: Rollouts of one policy, if they are to be shown.
+        rollouts: Of one policy, if they are to be shown.
         films: Shown as strips.
         video: MP4 to embed.
         video_caption: What it shows.
@@ -125,15 +74,15 @@ def render_report(
     """
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True)
     template = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / "report.html.j2").read_text()
-    seeds = [record["seed"] for record in records]
+    seeds = [rollout.seed for rollout in rollouts]
     return environment.from_string(template).render(
         title=title,
         facts=facts,
         generated=wilson(facts["successes"], facts["attempts"]) if facts else None,
-        rollouts=summarize([dict(record) for record in records]) if records else None,
-        policy=records[0] if records else None,
+        rollouts=summarize(rollouts) if rollouts else None,
+        policy=rollouts[0] if rollouts else None,
         seeds=(min(seeds), max(seeds)) if seeds else None,
-        starts=Markup(starts_plot(records)) if records else "",
+        starts=drawing.svg(starts_plot(rollouts)) if rollouts else "",
         strips=[{"png": base64.b64encode(film_strip(film)).decode(), "caption": film.caption} for film in films],
         video=base64.b64encode(video.read_bytes()).decode() if video else None,
         video_caption=video_caption,

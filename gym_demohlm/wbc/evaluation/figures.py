@@ -4,7 +4,6 @@
 all commands on the deployment model; what it does is drawn over what it was told, and filmed.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
+from gym_demohlm import jsonl
 from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT, STEP_DT
@@ -335,7 +335,7 @@ def _wilson(share: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _read_lines(path: Path) -> list[dict[str, float]]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    return jsonl.read(path) if path.exists() else []
 
 
 def _column(lines: Sequence[Mapping[str, float]], name: str) -> np.ndarray:

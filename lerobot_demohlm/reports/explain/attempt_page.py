@@ -16,6 +16,7 @@ from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm import drawing
 from lerobot_demohlm.demonstrations.timeline import draw_timeline
 from lerobot_demohlm.generation.attempt import COLLISION_N
 from lerobot_demohlm.generation.locomotion import LocomotionSettings
@@ -23,8 +24,7 @@ from lerobot_demohlm.reports.explain import figures, story
 from lerobot_demohlm.reports.explain.figures import STAGE_COLOURS, Curve, Plan, chart
 from lerobot_demohlm.reports.explain.pages import render
 from lerobot_demohlm.reports.explain.trace import Trace
-from lerobot_demohlm.reports.gallery import CAMERAS, Shots, Take
-from lerobot_demohlm.reports.report import Film, film_strip
+from lerobot_demohlm.reports.films import CAMERAS, Film, Shots, Take, film_strip
 
 _HANDS = {"left": figures.LEFT, "right": figures.RIGHT}
 _STRIP_FRAMES, _STRIP_WIDTH = 10, 236
@@ -51,7 +51,7 @@ def attempt_page(trace: Trace, *, origin: str, again: str, pictures: bool = True
         plan=plan(trace),
         timeline=story.timeline(trace),
         frames=story.frames_table(trace),
-        source=_source(trace),
+        source=drawing.svg(draw_timeline(trace.demonstration)),
         charts=charts(trace) if len(trace) else [],
         tracking=story.tracking_table(trace) if len(trace) else [],
         stage_colours=STAGE_COLOURS,
@@ -86,13 +86,6 @@ def _jpeg(png: bytes) -> str:
     return base64.b64encode(stream.getvalue()).decode()
 
 
-def _source(trace: Trace) -> str:
-    """Return the timeline of the demonstration (PNG, base64)."""
-    stream = io.BytesIO()
-    draw_timeline(trace.demonstration).quantize(64).save(stream, "PNG", optimize=True)
-    return base64.b64encode(stream.getvalue()).decode()
-
-
 def plan(trace: Trace) -> Markup:
     """Return the attempt seen from above: ways of base, palms and objects, goal, anchors and things."""
     model = build_scene(trace.task).model
@@ -101,29 +94,29 @@ def plan(trace: Trace) -> Markup:
     seen = [trace.pelvis[:, :2, 3], trace.hands[:, :, :2, 3].reshape(-1, 2), trace.objects[:, :, :2, 3].reshape(-1, 2)]
     if trace.placement is not None:
         seen.append(trace.placement.goal[None, :2])
-    drawing = Plan(np.concatenate(seen), width=640)
+    seen_from_above = Plan(np.concatenate(seen), width=640)
     for name, T in starts.items():
-        drawing.outline(footprint(model, name), T, "#9a8b78" if name in trace.supports else figures.INK)
+        seen_from_above.outline(footprint(model, name), T, "#9a8b78" if name in trace.supports else figures.INK)
     for index, name in enumerate(names):
-        drawing.trail(trace.objects[:, index, :2, 3], figures.GREY, 1.2)
+        seen_from_above.trail(trace.objects[:, index, :2, 3], figures.GREY, 1.2)
         if np.linalg.norm(trace.objects[-1, index, :2, 3] - trace.objects[0, index, :2, 3]) > 0.02:
-            drawing.outline(footprint(model, name), trace.objects[-1, index], figures.INK, dashes="4 3")
+            seen_from_above.outline(footprint(model, name), trace.objects[-1, index], figures.INK, dashed=True)
     for stage, start, stop in trace.bands():
         steps = slice(round(start / STEP_DT), round(stop / STEP_DT) + 1)
         colour = {"locomotion": "#5b8fc7", "pre_manipulation": "#c79a2b"}.get(stage, figures.GOOD)
-        drawing.trail(trace.pelvis[steps, :2, 3], colour, 2.6)
+        seen_from_above.trail(trace.pelvis[steps, :2, 3], colour, 2.6)
     for hand, side in enumerate(g1.SIDES):
-        drawing.trail(trace.hands[:, hand, :2, 3], _HANDS[side], 1.2)
-        drawing.trail(trace.targets[:, hand, :2, 3], _HANDS[side], 1.2, dashes="4 3")
-    drawing.robot(poses.to_planar(trace.pelvis[0]), figures.GREY, "start")
+        seen_from_above.trail(trace.hands[:, hand, :2, 3], _HANDS[side], 1.2)
+        seen_from_above.trail(trace.targets[:, hand, :2, 3], _HANDS[side], 1.2, dashed=True)
+    seen_from_above.robot(poses.to_planar(trace.pelvis[0]), figures.GREY, "start")
     if trace.placement is not None:
-        drawing.robot(trace.placement.goal, figures.GOOD, "base goal", dashes="4 3", line=2)
-    drawing.robot(poses.to_planar(trace.pelvis[-1]), figures.INK, "end")
+        seen_from_above.robot(trace.placement.goal, figures.GOOD, "base goal", dashed=True, line=2)
+    seen_from_above.robot(poses.to_planar(trace.pelvis[-1]), figures.INK, "end")
     for number, begun in enumerate(trace.started, start=1):
         first = begun.group[0]
         name = str(first.object) if first.kind == "object" else f"anchor {number}"
-        drawing.frame(begun.frames_now[0], name, beside=0 if first.kind == "object" else 1)
-    return drawing.svg.markup()
+        seen_from_above.frame(begun.frames_now[0], name, beside=0 if first.kind == "object" else 1)
+    return seen_from_above.markup()
 
 
 def footprint(model: mujoco.MjModel, name: str) -> np.ndarray:

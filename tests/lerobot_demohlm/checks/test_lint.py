@@ -57,7 +57,7 @@ def test_the_command_ends_in_one_object(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_line_of_results_becomes_a_row_of_the_readme(tmp_path: Path) -> None:
     options = f"--num-resets 3 --num-still 1 --num-episodes 1 --time-limit-s 2 --results {tmp_path}"
     cli.main(["lint-task", "PressCube", *options.split()])
-    (line,) = lines.read(tmp_path / "lint.jsonl")
+    (line,) = lines.read_measurements(tmp_path / "lint.jsonl")
     assert line["task"] == "PressCube" and line["failed"] == [] and line["found"]["replays: success"] == 1.0
     (row,) = [text for text in readme_tables.tables(tmp_path).splitlines() if text.startswith("| PressCube")]
     assert row.split("|")[2:4] == [" 1 ", " 0 "] and " pass " in row

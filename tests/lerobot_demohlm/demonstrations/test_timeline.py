@@ -6,27 +6,46 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.patches import Rectangle
 
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import get_task
-from lerobot_demohlm import cli
+from gym_demohlm.timing import FPS
+from lerobot_demohlm import cli, drawing
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import CORRECTIONS_PATH, META_PATH, default_root
 from lerobot_demohlm.demonstrations.segmentation import segment
-from lerobot_demohlm.demonstrations.timeline import FOLLOWS, draw_timeline
+from lerobot_demohlm.demonstrations.segments import Event
+from lerobot_demohlm.demonstrations.timeline import FOLLOWS, Row, draw_timeline
 
 TASK = get_task("LiftBox")
 
 
-def test_the_figure_gives_each_segment_its_share() -> None:
+def test_the_figure_gives_each_segment_its_place() -> None:
     demonstration = demonstrations.load(task=TASK)
-    pixels = np.asarray(draw_timeline(demonstration))
-    segments = segment(demonstration)
-    for kind, colour in FOLLOWS.items():
-        ticks = sum(entry.stop - entry.start for entry in segments if entry.kind == kind)
-        columns = (pixels == colour).all(axis=-1)
-        share = columns.any(axis=0).sum() / (np.isin(pixels, list(FOLLOWS.values())).all(axis=-1).any(axis=0).sum())
-        assert share == pytest.approx(ticks / (2 * len(demonstration)), abs=0.03)
+    figure, segments = draw_timeline(demonstration), segment(demonstration)
+    bars = [
+        (to_hex(bar.get_facecolor()), bar.get_x(), bar.get_x() + bar.get_width())
+        for axes in figure.axes
+        for bar in axes.patches
+        if isinstance(bar, Rectangle)
+    ]
+    expected = [(FOLLOWS[entry.kind], entry.start / FPS, entry.stop / FPS) for entry in segments]
+    assert [colour for colour, *_ in bars] == [colour for colour, *_ in expected]
+    assert np.allclose([ends for _, *ends in bars], [ends for _, *ends in expected])
+    assert "left hand on box [N]" in drawing.svg(figure)
+    assert drawing.svg(figure) == drawing.svg(draw_timeline(demonstration)), "the same bytes on every run"
+
+
+def test_events_stand_at_the_curve_of_their_own_object() -> None:
+    names = ("cube", "cube_2")
+    shown = [Row(hand="left", title=f"left hand on {name} [N]", values=np.zeros(3), object=name) for name in names]
+    shown.append(Row(hand="left", title="left gripper closed", values=np.zeros(3)))
+    found = [Event(tick=i, hand="left", kind="touch", object=name) for i, name in enumerate(names)]
+    found += [Event(tick=2, hand="left", kind="close"), Event(tick=0, hand="right", kind="touch", object="cube")]
+    assert [[event.tick for event in row.events_of(found)] for row in shown] == [[0], [1], [2]]
+    assert Row(hand="left", title="left hand follows").events_of(found) == []
 
 
 @pytest.fixture

@@ -20,13 +20,14 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.cells import _alone as run_alone
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, RegionCell, plan, stamp
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
 from tests.helpers.experiment_lines import CELL, layout, make_line
 from tests.helpers.synthetic import make_episode, make_facts
 
 
-def fake_run(cell: Cell | RegionCell) -> dict[str, Any] | None:
+def fake_run(cell: Cell | RegionCell) -> PolicyResult | None:
     """Stand in for what runs a cell, in another process."""
     if cell.task == "PushCube":
         raise DatasetError("no success", "some", "try again")
@@ -74,9 +75,9 @@ def test_a_region_counts_the_first_attempts_of_a_dataset_to_train_on(tmp_path: P
     (root / "meta").mkdir(parents=True)
     write_facts(root, make_facts(), [make_episode(i, outcome=outcome).record() for i, outcome in enumerate(outcomes)])
     line = run_cell(cell, own, Effort(num_attempts=3, deadline=0.0))
-    assert line is not None and cell.is_of(line)
-    assert (line["attempts"], line["successes"], line["outcomes"]["fell"]) == (3, 2, 1)
-    assert line["episode_s"] == pytest.approx(1.2)
+    assert isinstance(line, GenerationResult) and cell.is_of(line)
+    assert (line.attempts, line.successes, line.outcomes["fell"]) == (3, 2, 1)
+    assert line.episode_s == pytest.approx(1.2)
     assert run_cell(cell, own, Effort(num_attempts=5, deadline=0.0)) is None, "there are not so many, and no time"
 
 
@@ -86,7 +87,7 @@ def test_a_region_whose_line_was_never_written_is_not_made_again(tmp_path: Path)
     (root / "meta").mkdir(parents=True)
     write_facts(root, make_facts(), [make_episode(i).record() for i in range(2)])
     line = run_cell(cell, own, Effort(num_attempts=2, deadline=0.0))
-    assert line is not None and line["attempts"] == 2
+    assert isinstance(line, GenerationResult) and line.attempts == 2
 
 
 def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,9 +106,9 @@ def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest
     texts = "\n".join(failures)
     assert "no success" in texts and "ValueError: torch has something" in texts and "BrokenProcessPool" in texts
     cells = plan("main", tasks=tasks, sizes=[100], seeds=[0, 1], policies=["mlp"])
-    kept = lines.read(own.policies_file)
-    assert sorted(line["train_seed"] for line in kept) == [0, 1]
-    assert {(line["task"], line["command"]) for line in kept} == {("LiftBox", "demohlm reproduce ...")}
+    kept = lines.read_policies(own.policies_file)
+    assert sorted(line.train_seed for line in kept) == [0, 1]
+    assert {(line.task, line.command) for line in kept} == {("LiftBox", "demohlm reproduce ...")}
     assert [cell.task for cell in missing(cells, own)] == ["PressCube", "PushCube"] * 2
     assert reproduce(cells[:1], own, fake_run) == (0, [])
     assert reproduce(missing(cells, own), own, fake_run, deadline=time.monotonic()) == (0, [])
@@ -139,9 +140,9 @@ def test_a_line_of_something_else_is_not_a_cells(tmp_path: Path, changes: dict[s
 
 def test_regions_are_of_plain_attempts_and_enough_of_them(tmp_path: Path) -> None:
     own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
-    line = {"task": "LiftBox", "region": "R3", "stamp": stamp("LiftBox"), "attempts": 500, "successes": 500}
+    line = GenerationResult(task="LiftBox", region="R3", stamp=stamp("LiftBox"), attempts=500, successes=500)
     for changes in ({"command_noise": 1.0}, {"start_spread": 1.3}, {"retries": 1}, {"stamp": "other"}, {"attempts": 3}):
-        lines.append(own.generation_file, "demohlm generate", {**line, **changes})
+        lines.append(own.generation_file, "demohlm generate", dataclasses.replace(line, **changes))
     assert missing([cell], own, num_attempts=500) == [cell]
     lines.append(own.generation_file, "demohlm generate", line)
     assert missing([cell], own, num_attempts=500) == []
@@ -178,25 +179,25 @@ def test_two_at_one_cell_are_told_so(tmp_path: Path) -> None:
     assert run_cell(CELL, own, Effort(deadline=0.0)) is None, "the time is up, and nobody holds it"
 
 
-def process_of(cell: Cell) -> dict[str, Any]:
+def process_of(cell: Cell) -> PolicyResult:
     """Stand in for what runs a cell."""
-    return make_line(cell, process=os.getpid())
+    return make_line(cell, first_seed=os.getpid())
 
 
 def test_each_cell_has_a_process_of_its_own(tmp_path: Path) -> None:
     own, run = layout(tmp_path), process_of
     wanted = plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0, 1, 2], policies=["mlp"])
     assert reproduce(wanted, own, run) == (3, [])  # pyright: ignore[reportArgumentType]
-    assert len({line["process"] for line in lines.read(own.policies_file)} | {os.getpid()}) == 4
+    assert len({line.first_seed for line in lines.read_policies(own.policies_file)} | {os.getpid()}) == 4
 
 
-def run_beside(cell: Cell, folder: Path, seconds: float) -> dict[str, Any]:
+def run_beside(cell: Cell, folder: Path, seconds: float) -> PolicyResult:
     """Stand in for what runs a cell, and wait so long for another beside it."""
     (folder / f"seed{cell.train_seed}").touch()
     end = time.monotonic() + seconds
     while (began := len(list(folder.glob("seed*")))) < 2 and time.monotonic() < end:
         time.sleep(0.01)
-    return make_line(cell, began=began)
+    return make_line(cell, first_seed=began)
 
 
 @pytest.mark.parametrize("made", [False, True])
@@ -206,7 +207,7 @@ def test_one_cell_makes_the_data_of_both(tmp_path: Path, made: bool) -> None:
         own.dataset("LiftBox", "R3", 1000, DEFAULT_VARIANT).mkdir(parents=True)
     run: Any = partial(run_beside, folder=tmp_path, seconds=60.0 if made else 2.0)
     assert reproduce(cells, own, run, num_workers=2) == (2, [])
-    assert [line["began"] for line in lines.read(own.policies_file)] == [2 if made else 1, 2]
+    assert [line.first_seed for line in lines.read_policies(own.policies_file)] == [2 if made else 1, 2]
 
 
 @pytest.mark.slow
@@ -216,11 +217,11 @@ def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     words += ["--results", str(tmp_path / "results")]
     assert cli.main(words) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["run"] == 2
-    kept = lines.read(tmp_path / "results/experiments.jsonl")
-    assert [line["num_train_episodes"] for line in kept] == [2, 1]
-    assert [line["episodes"] for line in kept] == [2, 2]
+    kept = lines.read_policies(tmp_path / "results/experiments.jsonl")
+    assert [line.num_train_episodes for line in kept] == [2, 1]
+    assert [line.episodes for line in kept] == [2, 2]
     assert len(list((tmp_path / "runs/data").iterdir())) == 1
-    assert np.isfinite([line["train_samples_per_s"] for line in lines]).all()
+    assert np.isfinite([line.train_samples_per_s for line in kept]).all()
     assert cli.main(words) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {
         "table": "main",
@@ -228,4 +229,4 @@ def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "missing": 0,
         "failed": [],
     }
-    assert lines.read(tmp_path / "results/experiments.jsonl") == lines
+    assert lines.read_policies(tmp_path / "results/experiments.jsonl") == kept

@@ -1,20 +1,26 @@
 """What is made of the lines of experiments: rates, tables, figures, a page."""
 
 import dataclasses
-import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
-from lerobot_demohlm import cli
-from lerobot_demohlm.experiments import lines, page, paper, plots, readme_tables, tables
+from lerobot_demohlm import cli, drawing
+from lerobot_demohlm.evaluation.rollout import Rollout
+from lerobot_demohlm.experiments import lines, paper, plots, readme_tables, tables
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import plan, stamp
 from lerobot_demohlm.policies.training import checkpoint
-from lerobot_demohlm.reports import gallery
+from lerobot_demohlm.reports import experiments_page as page
+from lerobot_demohlm.reports import films
 from tests.helpers.experiment_lines import CELL, layout, make_line
 
 
@@ -34,7 +40,7 @@ def test_rates() -> None:
     assert (low, high) == pytest.approx(tables.wilson(2000, 2500), abs=0.003)  # narrower than one task's
 
 
-def lines_of_all() -> list[dict[str, Any]]:
+def lines_of_all() -> list[PolicyResult]:
     found = []
     for policy, size, seed, successes in (
         ("mlp", 100, 0, 100),
@@ -49,8 +55,8 @@ def lines_of_all() -> list[dict[str, Any]]:
 
 
 def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
-    lines = [make_line(successes=1), make_line(dataclasses.replace(CELL, train_seed=7), stamp="old"), *lines_of_all()]
-    rows = tables.main_table(lines).splitlines()
+    own = [make_line(successes=1), make_line(dataclasses.replace(CELL, train_seed=7), stamp="old"), *lines_of_all()]
+    rows = tables.main_table(own).splitlines()
     assert rows[2] == "| task | 100: MLP | paper 100 | 1000: MLP | 1000: ACT | paper 1000 | paper 5000 |"
     lift = next(row for row in rows if row.startswith("| LiftBox"))
     assert "44.0 (" in lift and ", 2 seeds | 86.4 | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | 98.6 | 98.8 |" in lift
@@ -58,25 +64,40 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert "| PressCube, an earlier version |" in tables.main_table(
         [make_line(dataclasses.replace(CELL, task="PressCube"), stamp="old")]
     )
-    table = tables.architectures_table(lines)
+    table = tables.architectures_table(own)
     assert "| GraspCube | 1000 | cpu | 80.0 (74.6 to 84.5) | 90.0 (85.7 to 93.1) | - | 81.3 | 87.9 | 90.2 |" in table
-    assert tables.architectures_table(lines[:3]) == ""
+    assert tables.architectures_table(own[:3]) == ""
     for region, successes, made_by in (("R3", 1, "old"), ("R1", 99, ""), ("R2", 98, ""), ("R3", 97, "")):
-        facts = {"task": "Handover", "region": region, "attempts": 100, "successes": successes, "outcomes": {}}
-        facts["stamp"] = made_by or stamp("Handover")
-        lines.append(tmp_path / "generation.jsonl", "demohlm reproduce --table regions", facts)
-    bars = ET.fromstring(plots.regions_figure(lines.read(tmp_path / "generation.jsonl")))
-    assert len([element for element in bars.iter() if element.tag.endswith("circle")]) == 3 + 3  # ours and the paper's
-    for line in lines:
+        made = made_by or stamp("Handover")
+        found = GenerationResult(task="Handover", region=region, attempts=100, successes=successes, stamp=made)
+        lines.append(tmp_path / "generation.jsonl", "demohlm reproduce --table regions", found)
+    drawn = plots.regions_figure(lines.read_generation(tmp_path / "generation.jsonl"))
+    assert drawn is not None and len(points(drawn)) == 3 + 3  # ours and the paper's
+    for line in own:
         lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce --table main", line)
     text = readme_tables.tables(tmp_path)
     assert "| Handover | 99.0 (94.6 to 99.8) | 98.0 (93.0 to 99.4) | 97.0 (91.5 to 99.0) |" in text
-    aged = [{**line, "stamp": "old"} for line in lines.read(tmp_path / "generation.jsonl")]
+    generated = lines.read_generation(tmp_path / "generation.jsonl")
+    aged = [dataclasses.replace(line, stamp="old") for line in generated]
     assert "| Handover, an earlier version |" in tables.regions_table(aged)
-    assert "Handover, an earlier version" in plots.regions_figure(aged)
-    assert tables.regions_table([*aged, facts]) == "", "one region is of this version, the others are not"
+    drawn = plots.regions_figure(aged)
+    assert drawn is not None and drawn.axes[0].get_title("left") == "Handover\nan earlier version"
+    assert tables.regions_table([*aged, generated[-1]]) == "", "one region is of this version, the others are not"
     assert text.count("demohlm reproduce --table main") == 1
     assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
+
+
+def points(figure: Figure) -> list[float]:
+    """Return the heights [%] of all points of a figure."""
+    dots = [dot for axes in figure.axes for dot in axes.lines if dot.get_marker() == "o"]
+    return [float(np.asarray(dot.get_ydata())[0]) for dot in dots]
+
+
+def whiskers(figure: Figure) -> list[float]:
+    """Return the lengths [%] of all intervals of a figure."""
+    found = [part for axes in figure.axes for part in axes.collections if isinstance(part, LineCollection)]
+    segments = [np.asarray(segment) for part in found for segment in part.get_segments()]
+    return [round(float(segment[1, 1] - segment[0, 1]), 2) for segment in segments]
 
 
 def test_an_ablation_of_data_stands_beside_the_papers_tables(tmp_path: Path) -> None:
@@ -121,40 +142,66 @@ def test_paper_has_every_task() -> None:
     ]
 
 
-def test_figures_are_svg_with_a_point_a_number() -> None:
-    lines = lines_of_all()
-    drawn = ET.fromstring(plots.size_figure(lines))
-    circles = [element for element in drawn.iter() if element.tag.endswith("circle")]
-    assert len(circles) == 3 * (5 + 2 + 1)  # two tasks and their mean: the paper, MLP at two sizes, ACT at one
-    floor, top = plots.HEIGHT - plots.BOTTOM, plots.TOP
-    heights = sorted({round((floor - float(circle.get("cy", 0))) / (floor - top), 2) for circle in circles})
-    assert {0.44, 0.8, 0.9} <= set(heights)  # of lines_of_all; 0.44 is the mean of two seeds
-    whiskers = [
-        round((float(line.get("y2", 0)) - float(line.get("y1", 0))) / (floor - top), 2)
-        for line in drawn.iter()
-        if line.tag.endswith("line") and line.get("x1") == line.get("x2")
-    ]
+def test_figures_have_a_point_a_number() -> None:
+    own = lines_of_all()
+    drawn = plots.size_figure(own)
+    assert drawn is not None
+    heights = points(drawn)
+    assert len(heights) == 3 * (5 + 2 + 1)  # two tasks and their mean: the paper, MLP at two sizes, ACT at one
+    assert {44.0, 80.0, 90.0} <= {round(height, 2) for height in heights}  # 44 is the mean of two seeds
     low, high = tables.wilson(200, 250)
-    assert round(high - low, 2) in whiskers
+    assert round(100 * (high - low), 2) in whiskers(drawn)
     _, low, high = tables.mean_rate([[make_line(successes=200)]] * 2)
-    assert round(high - low, 2) in whiskers
-    bars = ET.fromstring(plots.architectures_figure(lines))
-    assert len([element for element in bars.iter() if element.get("width") == "16"]) == 2 * (3 + 2)
-    sizes = {round(float(bar.get("height", 0)) / (floor - top), 2) for bar in bars.iter() if bar.get("width") == "16"}
-    assert {0.8, 0.9} <= sizes
+    assert round(100 * (high - low), 2) in whiskers(drawn)
+    barred = plots.architectures_figure(own)
+    assert barred is not None
+    bars = [bar for axes in barred.axes for bar in axes.patches if isinstance(bar, Rectangle)]
+    assert len(bars) == 2 * (3 + 2)
+    assert {80.0, 90.0} <= {round(bar.get_height(), 2) for bar in bars}
     larger = [make_line(dataclasses.replace(CELL, num_train_episodes=5000, policy=name)) for name in ("mlp", "act")]
     third = make_line(dataclasses.replace(CELL, num_train_episodes=1000, policy="diffusion"))
-    assert "LiftBox, 5000 episodes" in plots.architectures_figure([*lines, *larger])
-    assert "LiftBox, 1000 episodes" in plots.architectures_figure([*lines, *larger, third]), "all three are compared"
-    assert plots.size_figure(lines, "paper") == plots.regions_figure([]) == ""
+    for chosen, size in (([*own, *larger], 5000), ([*own, *larger, third], 1000)):
+        found = plots.architectures_figure(chosen)
+        assert found is not None
+        titles = [axes.get_title("left") for axes in found.axes]
+        assert f"LiftBox, {size} episodes" in titles, "the size that most policies have"
+    assert plots.size_figure(own, "paper") is plots.regions_figure([]) is None
+
+
+def test_a_figure_is_the_same_svg_every_time() -> None:
+    one, two = (plots.size_figure(lines_of_all()) for _ in range(2))
+    assert one is not None and two is not None
+    text = drawing.svg(one)
+    assert text == drawing.svg(two)
+    root = ET.fromstring(text)
+    assert (root.get("width"), root.get("height")) == (str(3 * plots.WIDTH), str(plots.HEIGHT + plots.LEGEND))
+    said = [element.text for element in root.iter() if element.tag.endswith("text")]
+    assert {"GraspCube", "mean of 2 tasks", "5000", "paper (ACT)"} <= set(said), "text stays text"
+    assert "mlp: 80.0 % (74.6 to 84.5)" in [element.text for element in root.iter() if element.tag.endswith("title")]
+    assert not any(group.get("id") for group in root.iter("{http://www.w3.org/2000/svg}g"))
+
+
+def make_rollout(seed: int, x: float, y: float, outcome: str) -> Rollout:
+    held = outcome == "success"
+    return Rollout(
+        task="LiftBox",
+        policy="chunked_mlp",
+        policy_hash="0" * 64,
+        region="R3",
+        seed=seed,
+        success_ever=held,
+        success_end=held,
+        success_held=held,
+        outcome=outcome,
+        length_s=9.0,
+        initial_state={"robot": [x, y, 0.0], "object": [0.0, 0.0, 0.0]},
+    )
 
 
 def test_failure_map_counts_where_they_began() -> None:
     starts = [(-1.0, 0.0), (-1.0, 0.0), (-0.2, 0.1), (-0.2, -0.1)]
-    records = [
-        {"initial_state": {"robot": [x, y, 0.0]}, "success_held": place != 1} for place, (x, y) in enumerate(starts)
-    ]
-    drawn = ET.fromstring(plots.failure_map(records, bins=4))
+    rollouts = [make_rollout(place, x, y, "fell" if place == 1 else "success") for place, (x, y) in enumerate(starts)]
+    drawn = ET.fromstring(drawing.svg(plots.failure_map(rollouts, bins=4)))
     titles = [element.text for element in drawn.iter() if element.tag.endswith("title")]
     assert titles.count("1 of 2 failed") == 1
     assert sum(int((title or "").split()[2]) for title in titles) == 4
@@ -166,22 +213,16 @@ def test_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for line in lines_of_all():
         lines.append(own.policies_file, "demohlm reproduce --table main", line)
     outcomes = ["success", "fell", "fell", "dropped"]
-    records = [
-        {
-            "seed": seed,
-            "outcome": outcome,
-            "success_held": outcome == "success",
-            "initial_state": {"robot": [-0.3 * seed, 0.1, 0.0]},
-        }
-        for seed, outcome in enumerate(outcomes)
-    ]
+    rollouts = [make_rollout(seed, -0.3 * seed, 0.1, outcome) for seed, outcome in enumerate(outcomes)]
     checkpoint(own.training(CELL)).mkdir(parents=True)
-    own.rollouts(CELL).parent.mkdir(parents=True)
-    own.rollouts(CELL).write_text("".join(json.dumps(record) + "\n" for record in records))
+    jsonl.append(own.rollouts(CELL), map(dataclasses.asdict, rollouts))
     filmed: list[int] = []
-    monkeypatch.setattr(
-        page, "_films", lambda cell, layout, record: (filmed.append(record["seed"]), [("AA", "a <fall>")])[1]
-    )
+
+    def fake(failure: page.Failure) -> page.Video:
+        filmed.append(failure.seed)
+        return page.Video(mp4="AA", caption="a <fall>")
+
+    monkeypatch.setattr(page, "_film", fake)
     words = ["report", "--results", str(own.results), "--experiments", str(own.root), "--num-videos", "2"]
     assert cli.main([*words, "--output", str(tmp_path / "page.html"), "--figures", str(tmp_path / "figures")]) == 0
     assert filmed == [1, 3]  # one of each outcome
@@ -196,13 +237,17 @@ def test_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_films_are_of_the_failure_that_was_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    take = gallery.Take(task=get_task("LiftBox"), snapshots=[], origin="mlp", outcome="dropped", length_s=3.0)
-    monkeypatch.setattr(gallery, "policy_take", lambda *_: take)
+    take = films.Take(task=get_task("LiftBox"), snapshots=[], origin="mlp", outcome="dropped", length_s=3.0)
+    monkeypatch.setattr(page, "policy_take", lambda *_: take)
 
-    def write(_take: gallery.Take, root: Path, width: int) -> None:
+    def write(_take: films.Take, root: Path, **_options: object) -> None:
         (root / "lift_box_overview.mp4").write_bytes(b"film")
 
-    monkeypatch.setattr(gallery, "write_take", write)
-    assert page._films(CELL, layout(tmp_path), {"seed": 3, "outcome": "fell"}) == []
-    ((film, caption),) = page._films(CELL, layout(tmp_path), {"seed": 3, "outcome": "dropped"})
-    assert film == "ZmlsbQ==" and "mlp" in caption
+    monkeypatch.setattr(page, "write_take", write)
+    failures = [
+        page.Failure(task="LiftBox", region="R3", seed=3, outcome=outcome, policy=tmp_path)
+        for outcome in ("fell", "dropped")
+    ]
+    other, same = page.film_failures(failures)
+    assert other is None
+    assert same is not None and same.mp4 == "ZmlsbQ==" and "mlp" in same.caption

@@ -1,35 +1,78 @@
 """Result lines -> README tables."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.experiments import lines, readme_tables
+from lerobot_demohlm.experiments.lines import GenerationResult
+from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.reproducibility.results import append_result
+from tests.helpers.experiment_lines import CELL, make_line
 from tests.helpers.paths import REPOSITORY
 
 
-def test_lines_become_a_table(tmp_path: Path) -> None:
-    facts = {
-        "task": "LiftBox",
-        "region": "R3",
-        "attempts": 100,
-        "successes": 93,
-        "outcomes": {"success": 93, "fell": 7},
-    }
-    lines.append(tmp_path / "generation.jsonl", "demohlm generate ...", {**facts, "successes": 1})
-    lines.append(tmp_path / "generation.jsonl", "demohlm generate ...", facts)
-    again = {"successes": 97, "retries": 2, "first_try_successes": 93, "outcomes": {"success": 97, "fell": 3}}
-    lines.append(tmp_path / "generation.jsonl", "demohlm generate --retries 2 ...", {**facts, **again})
+def test_lines_become_tables_that_say_their_age(tmp_path: Path) -> None:
+    facts = GenerationResult(
+        task="LiftBox",
+        region="R3",
+        attempts=100,
+        successes=93,
+        outcomes={"success": 93, "fell": 7},
+        stamp=stamp("LiftBox"),
+    )
+    path = tmp_path / "generation.jsonl"
+    lines.append(path, "demohlm generate ...", dataclasses.replace(facts, successes=1))
+    lines.append(path, "demohlm generate ...", facts)
+    outcomes = {"success": 97, "fell": 3}
+    again = dataclasses.replace(facts, successes=97, retries=2, first_try_successes=93, outcomes=outcomes, stamp="old")
+    lines.append(path, "demohlm generate --retries 2 ...", again)
+    page = tmp_path / "docs" / "results.md"
+    assert readme_tables.write_results(page, tmp_path)
+    text = page.read_text()
+    assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6) | 91.2 | fell 7 |" in text
+    assert "| 97.0 (91.5 to 99.0), with up to 2 retries; 93.0 at the first try | 91.2 | fell 3 |" in text
+    assert text.count("| LiftBox |") == 2  # the last line of a task, region and number of retries counts
+    made_at = lines.read_generation(path)[0].commit
+    assert f"*Measured at commit {made_at}.*" in text
+    assert f"{made_at}, an earlier version |" in text and "*Rows marked" in text
+    assert "**Exact poses.**" in text and "**Shared starts.**" in text
+    assert not readme_tables.write_results(page, tmp_path), "the same lines give the same page"
+
+
+def test_measurements_without_a_stamp_are_of_an_earlier_version(tmp_path: Path) -> None:
+    shares = {f"{name}_share": 0.2 for name in readme_tables._SHARES}
+    values = {"task": "LiftBox", "region": "R3", "attempts": 8, "successes": 7, **shares}
+    values |= {"seconds_per_episode": 1.5, "simulated_s_per_episode": 14.0}
+    path = tmp_path / "generation_time.jsonl"
+    lines.append(path, "demohlm benchmark generation", lines.Measurement(values=values))
+    assert "| LiftBox, an earlier version | R3 | 7 of 8 |" in readme_tables.tables(tmp_path)
+    now = lines.Measurement(values=values | {"stamp": stamp("LiftBox")})
+    lines.append(path, "demohlm benchmark generation", now)
+    assert "| LiftBox | R3 | 7 of 8 |" in readme_tables.tables(tmp_path)
+
+
+def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
+    for policy, successes in (("mlp", 200), ("act", 225)):
+        cell = dataclasses.replace(CELL, policy=policy, num_train_episodes=1000)
+        lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", make_line(cell, successes))
+    lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", make_line(CELL, 1))  # of 100 episodes
+    made = GenerationResult(task="LiftBox", region="R3", attempts=500, successes=499, stamp=stamp("LiftBox"))
+    lines.append(tmp_path / "generation.jsonl", "demohlm generate ...", made)
     readme = tmp_path / "README.md"
     readme.write_text(f"top\n{readme_tables.BEGIN}\nold\n{readme_tables.END}\nbottom\n")
     assert readme_tables.update_readme(readme, tmp_path)
     text = readme.read_text()
-    assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6) | 91.2 | fell 7 |" in text
-    assert "| 97.0 (91.5 to 99.0), with up to 2 retries; 93.0 at the first try | 91.2 | fell 3 |" in text
-    assert text.count("| LiftBox |") == 2  # the last line of a task, region and number of retries counts
+    assert "| LiftBox | 99.8 | 80.0 | 90.0 | - | 91.2 | 98.8 |" in text
+    assert text.count("\n| ") == 1 + 10
+    assert "500 attempts of generation, and 250 rollouts" in text
     assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
     assert not readme_tables.update_readme(readme, tmp_path)
+    readme.write_text("no markers")
+    with pytest.raises(DatasetError, match="both markers"):
+        readme_tables.update_readme(readme, tmp_path)
 
 
 def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
@@ -47,8 +90,8 @@ def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
     }
     peer |= dict.fromkeys(("height_error", "largest_roll", "largest_yaw"))
     path = tmp_path / "controller.jsonl"
-    lines.append(path, "demohlm benchmark controller", ours)
-    lines.append(path, "demohlm benchmark controller --peer holosoma --peer-range", peer)
+    append_result(path, "demohlm benchmark controller", ours)
+    append_result(path, "demohlm benchmark controller --peer holosoma --peer-range", peer)
     text = readme_tables.tables(tmp_path)
     assert "|  | ours | holosoma | best published |" in text
     assert "| linear velocity error, walking, instantaneous | 0.080 m/s | 0.250 m/s | 0.142 m/s |" in text
@@ -62,14 +105,14 @@ def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
     rates = {"samples_per_s": 10_000.0, "lerobot_samples_per_s": 200.0}
     trainings = [{**trained, **rates, "policy": policy} for policy in ("mlp", "act")]
     for line in (speed, memory, *trainings):
-        lines.append(tmp_path / "speed.jsonl", "demohlm benchmark dataset", line)
+        append_result(tmp_path / "speed.jsonl", "demohlm benchmark dataset", line)
     runs = [{"backend": "ray", "workers": 2, "attempts_per_hour": 5000, "same": same} for same in (True, False)]
     compared = {"task": "LiftBox", "region": "R3", "attempts": 64, "files": 9, "runs": runs}
-    lines.append(tmp_path / "workers.jsonl", "python benchmarks/workers.py", compared)
+    append_result(tmp_path / "workers.jsonl", "python benchmarks/workers.py", compared)
     fault = {"fault": "kill -9", "tried": 50, "survived": 49, "lost": 1, "note": ""}
-    lines.append(tmp_path / "faults.jsonl", "python -m lerobot_demohlm.benchmarks.faults", {"faults": [fault]})
+    append_result(tmp_path / "faults.jsonl", "python -m lerobot_demohlm.benchmarks.faults", {"faults": [fault]})
     fuzzed = {"seconds": 3600, "executions": 100_000, "broke": False}
-    lines.append(tmp_path / "fuzzing.jsonl", "python benchmarks/fuzz_loaders.py --seconds 3600", fuzzed)
+    append_result(tmp_path / "fuzzing.jsonl", "python benchmarks/fuzz_loaders.py --seconds 3600", fuzzed)
     text = readme_tables.tables(tmp_path)
     assert "| state-only episodes written a second | 110.0 | 5.0 (LeRobot's `save_episode`) | 22 |" in text
     assert "| 505 after 50 episodes | 500 (after a tenth of its episodes) | 1.01 |" in text
@@ -81,12 +124,29 @@ def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
 
 
 def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
-    (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
+    path = tmp_path / "generation.jsonl"
+    path.write_text('{"task": "LiftBox", "region": "R3", "attempts": 1, "successes": 1}\nbroken\n')
     with pytest.raises(DatasetError, match=r"generation\.jsonl:2"):
-        lines.read(tmp_path / "generation.jsonl")
+        lines.read_generation(path)
+    path.write_text('{"task": "LiftBox", "region": "R3", "attempts": "many", "successes": 1}\n')
+    with pytest.raises(DatasetError, match=r"generation\.jsonl:1 with attempts='many'; expected int"):
+        lines.read_generation(path)
+    path.write_text('{"task": "LiftBox"}\n')
+    with pytest.raises(DatasetError, match=r"generation\.jsonl:1 without region, attempts, successes"):
+        lines.read_generation(path)
 
 
-def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
+def test_the_committed_results_are_what_is_shown(tmp_path: Path) -> None:
+    page = REPOSITORY / "docs" / "results.md"
+    shown = readme_tables.results_page(REPOSITORY / "results")
+    assert page.read_text() == shown, "run: demohlm results --output docs/results.md"
     copy = tmp_path / "README.md"
     copy.write_text((REPOSITORY / "README.md").read_text())
     assert not readme_tables.update_readme(copy, REPOSITORY / "results"), "run: demohlm results --readme README.md"
+
+
+def test_every_committed_line_can_be_read() -> None:
+    folder = REPOSITORY / "results"
+    assert len(lines.read_policies(folder / "experiments.jsonl")) > 50
+    assert len(lines.read_generation(folder / "generation.jsonl")) >= 30
+    assert all(lines.read_measurements(path) for path in folder.glob("*.jsonl"))

@@ -14,15 +14,15 @@ from gym_demohlm.simulation import Simulation
 from lerobot_demohlm import cli
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import attempt
-from lerobot_demohlm.reports import gallery
-from lerobot_demohlm.reports.gallery import Shots, Take
+from lerobot_demohlm.reports import films, gallery
+from lerobot_demohlm.reports.films import Shots, Take
 
 TASK = get_task("LiftBox")
 
 
 @pytest.fixture(scope="module")
 def take() -> Take:
-    return gallery.generated_take(TASK, "R1", seed=7, index=1)
+    return films.generated_take(TASK, "R1", seed=7, index=1)
 
 
 def test_a_take_is_the_attempt_of_that_seed_and_index(take: Take) -> None:
@@ -53,15 +53,17 @@ def test_shots_show_the_moment_that_is_asked_for(take: Take) -> None:
 
 
 def test_films_and_pages(take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gallery, "SHADOW_SIZE", 256)  # a fraction of the work
+    monkeypatch.setattr(films, "SHADOW_SIZE", 256)  # a fraction of the work
     short = dataclasses.replace(take, snapshots=take.snapshots[::30], outcome="ik_failed")
-    gallery.write_take(short, tmp_path / "films", width=64)
-    names = {f"lift_box_{camera}.{kind}" for camera in gallery.CAMERAS for kind in ("png", "mp4")}
+    films.write_take(short, tmp_path / "films", width=64)
+    names = {f"lift_box_{camera}.{kind}" for camera in films.CAMERAS for kind in ("png", "mp4")}
     assert {path.name for path in (tmp_path / "films").iterdir()} == names
     with Image.open(tmp_path / "films" / "lift_box_head.png") as strip:
         rows = 2 if len(short.snapshots) > 3 else 1
         assert strip.height == 48 * rows
         assert strip.width % 64 == 0
+    films.write_take(short, tmp_path / "one", width=64, strips=False, cameras=("head",))
+    assert [path.name for path in (tmp_path / "one").iterdir()] == ["lift_box_head.mp4"]
     page = gallery.render_page([short], "gallery.html.j2", ".", videos=True)
     assert set(re.findall(r'src="\./([^"]+)"', page)) == names
     assert TASK.description in page and "ik failed after" in page and 'class="small failed"' in page

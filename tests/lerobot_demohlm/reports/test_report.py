@@ -13,27 +13,28 @@ from PIL import Image
 from gym_demohlm.errors import PolicyError
 from lerobot_demohlm import cli, quickstart
 from lerobot_demohlm.datasets.episode import OUTCOMES
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.policies import training
-from lerobot_demohlm.reports.report import Film, film_strip, render_report, write_video
+from lerobot_demohlm.reports.films import Film, film_strip, write_video
+from lerobot_demohlm.reports.report import render_report
 
 
-def make_records() -> list[dict]:
+def make_rollouts() -> list[Rollout]:
     return [
-        {
-            "task": "LiftBox",
-            "region": "R1",
-            "seed": seed,
-            "policy": "chunked_mlp",
-            "policy_hash": "0" * 64,
-            "num_train_episodes": 100,
-            "success_ever": True,
-            "success_end": seed != 1,
-            "success_held": seed > 1,
-            "outcome": "success" if seed > 1 else "dropped",
-            "length_s": 9.5,
-            "clipped": 0,
-            "initial_state": {"robot": [-0.5 - 0.01 * seed, 0.0, 0.1], "object": [0.0, 0.0, 0.0]},
-        }
+        Rollout(
+            task="LiftBox",
+            region="R1",
+            seed=seed,
+            policy="chunked_mlp",
+            policy_hash="0" * 64,
+            num_train_episodes=100,
+            success_ever=True,
+            success_end=seed != 1,
+            success_held=seed > 1,
+            outcome="success" if seed > 1 else "dropped",
+            length_s=9.5,
+            initial_state={"robot": [-0.5 - 0.01 * seed, 0.0, 0.1], "object": [0.0, 0.0, 0.0]},
+        )
         for seed in range(10)
     ]
 
@@ -65,7 +66,7 @@ def test_page_carries_everything(tmp_path: Path) -> None:
     page = render_report(
         title="LiftBox",
         facts=facts,
-        records=make_records(),
+        rollouts=make_rollouts(),
         films=[make_film()],
         video=video,
         video_caption="first",
@@ -79,7 +80,8 @@ def test_page_carries_everything(tmp_path: Path) -> None:
     assert "61 s" in page
     assert "A &lt;rollout&gt;" in page
     assert "Lift &lt;the&gt; box." in page
-    assert page.count("<circle") == 10
+    assert len(re.findall(r"<title>seed \d: success</title>", page)) == 8
+    assert len(re.findall(r"<title>seed \d: dropped</title>", page)) == 2
     assert not re.search(r'(src|href)="(?!data:)', page)  # nothing is fetched
     embedded = re.search(r"data:video/mp4;base64,([^\"]+)", page)
     assert embedded is not None
