@@ -22,8 +22,7 @@ from gym_demohlm import poses
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.reports.gallery import SHADOW_SIZE, Take, generated_take, policy_take
-from lerobot_demohlm.reproducibility import provenance
+from lerobot_demohlm.reports.films import SHADOW_SIZE, Take, generated_take, policy_take
 
 REGION, SEED, INDEX = "R3", 0, 0  # of the generated episodes
 FILM_TASK = "LiftBox"
@@ -226,7 +225,7 @@ def draw(pictures: Pictures) -> list[Path]:
     written = []
     for task in tasks:
         take = generated_take(task, REGION, SEED, INDEX)
-        path = pictures.root / f"{provenance.file_name(task)}.webp"
+        path = pictures.root / f"{task.module.rpartition('.')[2]}.webp"
         picture = thumbnail(take, MOMENTS.get(task.name, Moment(share=0.9)), pictures.thumbnail_width)
         picture.save(path, quality=pictures.quality, method=6)
         written.append(path)
