@@ -1,4 +1,4 @@
-"""Tasks by name: the files in ``tasks/``, what is registered from outside, and each one's Gymnasium environment."""
+"""Tasks by name, from the files in ``tasks/`` and from ``register_task``, each with its Gymnasium environment."""
 
 import functools
 import importlib
@@ -34,7 +34,7 @@ _registered: dict[str, Task] = {}
 
 
 def register_task(task: Task) -> Task:
-    """Make a task known under its name and register its environment ``DemoHLM/<name>-v0``; returns the task.
+    """Register a task under its name, and its environment ``DemoHLM/<name>-v0``; return the task.
 
     Raises:
         SceneError: Another task has that name.
@@ -53,7 +53,7 @@ def _load_task_files() -> None:
 
 
 def all_tasks() -> dict[str, Task]:
-    """Return every task by name: those of the package's task files, and those registered from outside."""
+    """Return all tasks by name: those of the package and those registered from outside."""
     _load_task_files()
     return dict(sorted(_registered.items()))
 
@@ -61,10 +61,10 @@ def all_tasks() -> dict[str, Task]:
 def get_task(name: str) -> Task:
     """Return a task by its name, "LiftBox" or "LiftBox-v0".
 
-    As in Gymnasium, "my_module:MyTask" imports a module first, which registers the task.
+    As in Gymnasium, "my_module:MyTask" first imports the module, which registers the task.
 
     Raises:
-        UnknownNameError: No such task; the message names the closest one.
+        UnknownNameError: There is no such task; the message names the closest one.
         SceneError: There is no such module.
     """
     module, _, bare = name.rpartition(":")
