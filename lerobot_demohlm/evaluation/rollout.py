@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from lerobot_demohlm.datasets.episode import OUTCOMES
+from gym_demohlm.simulation.judge import OUTCOMES
 
 
 @dataclass(frozen=True, kw_only=True)

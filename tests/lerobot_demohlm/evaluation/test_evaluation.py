@@ -1,7 +1,7 @@
 """Rollouts: seeded, in order, the same alone and in a batch; records, intervals, and what a checkpoint must be."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 
+from gym_demohlm import jsonl
 from gym_demohlm.control import command
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import DatasetError, PolicyError
@@ -16,14 +17,8 @@ from gym_demohlm.registry import get_task, register_task
 from lerobot_demohlm import cli
 from lerobot_demohlm.evaluation import evaluate as evaluation
 from lerobot_demohlm.evaluation import rollouts
-from lerobot_demohlm.evaluation.evaluate import (
-    append_records,
-    evaluate,
-    read_records,
-    resumed_records,
-    summarize,
-    wilson,
-)
+from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, resumed_rollouts, summarize, wilson
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, policy_hash
 from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
@@ -105,17 +100,17 @@ def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(restless: Path) -
         assert alone == [batched[place]]
         batch, world = divmod(place, 2)
         np.testing.assert_array_equal(states[6 * batch : 6 * batch + 6, world], own_states[:, 0])
-    assert [record["seed"] for record in batched] == seeds
+    assert [record.seed for record in batched] == seeds
     env = DemoHLMVectorEnv(num_envs=1, task=TASK, region="R1")
     for record in batched:
-        start = env.reset(seed=record["seed"])[1]["initial_state"]
-        assert record["initial_state"] == {name: [float(v) for v in start[name][0]] for name in ("robot", "object")}
-        assert record["length_s"] == 0.5
-        assert record["outcome"] == "timeout"
-        assert not record["success_held"]
-        assert (record["policy"], record["num_train_episodes"], record["train_seed"]) == ("chunked_mlp", None, None)
+        start = env.reset(seed=record.seed)[1]["initial_state"]
+        assert record.initial_state == {name: [float(v) for v in start[name][0]] for name in ("robot", "object")}
+        assert record.length_s == 0.5
+        assert record.outcome == "timeout"
+        assert not record.success_held
+        assert (record.policy, record.num_train_episodes, record.train_seed) == ("chunked_mlp", None, None)
     env.close()
-    assert batched[0]["initial_state"] != batched[1]["initial_state"]
+    assert batched[0].initial_state != batched[1].initial_state
     assert json.loads(json.dumps(batched)) == batched
 
 
@@ -135,9 +130,9 @@ def test_command_line(checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert (summary["task"], summary["region"], summary["episodes"]) == (TASK, "R2", 2)
     assert summary["success_held"]["rate"] == 0
     assert summary["outcomes"]["timeout"] == 2
-    assert [record["seed"] for record in read_records(output)] == [evaluation.FIRST_SEED, evaluation.FIRST_SEED + 1]
+    assert [record.seed for record in read_rollouts(output)] == [evaluation.FIRST_SEED, evaluation.FIRST_SEED + 1]
     assert cli.main([*arguments, "--output", str(output)]) == 0  # nothing is left to do
-    assert len(read_records(output)) == 2
+    assert len(read_rollouts(output)) == 2
     arguments[arguments.index("R2")] = "R1"
     assert cli.main([*arguments, "--output", str(output)]) == 2
     assert "region=R2" in capsys.readouterr().err
@@ -224,22 +219,35 @@ def test_wilson_intervals() -> None:
 
 
 def test_records_on_disk(tmp_path: Path) -> None:
-    record = {"outcome": "success", "success_held": True, "success_end": True, "success_ever": True}
-    failed = record | {"outcome": "fell", "success_held": False, "success_end": False}
+    held = Rollout(
+        task=TASK,
+        policy="chunked_mlp",
+        policy_hash="0" * 64,
+        region="R1",
+        seed=3,
+        success_ever=True,
+        success_end=True,
+        success_held=True,
+        outcome="success",
+        length_s=0.5,
+        initial_state={"robot": [0.0, 0.0, 0.0]},
+    )
+    failed = replace(held, seed=4, outcome="fell", success_held=False, success_end=False)
     path = tmp_path / "rollouts.jsonl"
-    assert append_records(path, iter([record, failed])) == read_records(path) == [record, failed]
-    summary = summarize(read_records(path))
+    jsonl.append(path, map(asdict, [held, failed]))
+    assert read_rollouts(path) == [held, failed]
+    summary = summarize(read_rollouts(path))
     assert [summary[name]["rate"] for name in evaluation.SUCCESSES] == [0.5, 0.5, 1.0]
-    for content in ("", "{", "[1]", '{"outcome": "won"}'):
+    for content in ("", "{", "[1]", '{"outcome": "won"}', jsonl.encode(asdict(held) | {"outcome": "won"})):
         path.write_text(content)
-        with pytest.raises(DatasetError, match="demohlm evaluate"):
-            read_records(path)
+        with pytest.raises(DatasetError, match=path.name):
+            read_rollouts(path)
 
 
 def test_a_killed_evaluation_goes_on(restless: Path, tmp_path: Path) -> None:
     loaded, setting = load_policy(restless, TASK), Setting(task=TASK, region="R1", num_worlds=2)
     whole = evaluate(loaded, setting, [3, 4, 5], tmp_path / "whole.jsonl")
-    assert [record["seed"] for record in whole] == [3, 4, 5]
+    assert [record.seed for record in whole] == [3, 4, 5]
     lines = (tmp_path / "whole.jsonl").read_bytes().splitlines(keepends=True)
     torn = tmp_path / "torn.jsonl"
     for kept in (lines[0] + lines[1][:-1], lines[0] + lines[1] + lines[2][:5]):
@@ -247,9 +255,9 @@ def test_a_killed_evaluation_goes_on(restless: Path, tmp_path: Path) -> None:
         assert evaluate(loaded, setting, [3, 4, 5], torn) == whole
         assert sorted(torn.read_bytes().splitlines(keepends=True)) == sorted(lines)
     assert evaluate(loaded, setting, [3, 4], tmp_path / "late.jsonl", deadline=0.0) == []
-    assert resumed_records(tmp_path / "late.jsonl", {}) == []
+    assert resumed_rollouts(tmp_path / "late.jsonl", {}) == []
     torn.write_bytes(lines[0][:40])
-    assert (resumed_records(torn, {}), torn.read_bytes()) == ([], b"")
+    assert (resumed_rollouts(torn, {}), torn.read_bytes()) == ([], b"")
     torn.write_bytes(lines[0])
     with pytest.raises(DatasetError, match="choose another --output"):
         evaluate(loaded, Setting(task=TASK, region="R2"), [3], torn)
@@ -292,7 +300,7 @@ def test_lerobots_rollout_is_ours(restless: Path) -> None:
         )
         env.close()
         np.testing.assert_array_equal(np.stack(seen), ours)
-        assert result["success"].any(dim=1).tolist() == [records[seed - 11]["success_held"] for seed in batch]
+        assert result["success"].any(dim=1).tolist() == [records[seed - 11].success_held for seed in batch]
     assert not np.array_equal(ours[1], ours[-1])
 
 
