@@ -11,11 +11,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gym_demohlm import poses
-from gym_demohlm.registry import register_task
-from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.simulation.worlds import Worlds
-from gym_demohlm.task import REGIONS, InitialState, ObjectSpec, Task, limit_yaw
+from gym_demohlm import ObjectSpec, Task, Worlds, poses, register_task
+from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.task import REGIONS, InitialState, limit_yaw
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
@@ -42,7 +40,7 @@ def build(spec: mujoco.MjSpec) -> None:
 
 
 def stacked(sim: Worlds) -> np.ndarray:
-    """Return in which worlds (N,) the red cube rests on the blue one and on nothing else."""
+    """Return whether (N,) the red cube rests on the blue one and on nothing else."""
     apart = sim.pose("red")[:, :3, 3] - sim.pose("blue")[:, :3, 3]
     on_top = (np.abs(apart[:, 2] - STACKED) < LEVEL) & (np.hypot(apart[:, 0], apart[:, 1]) < OVER)
     weight = RED_MASS * 9.81
@@ -51,7 +49,7 @@ def stacked(sim: Worlds) -> np.ndarray:
 
 
 def dropped(sim: Worlds) -> np.ndarray:
-    """Return in which worlds (N,) a cube has fallen off the table."""
+    """Return whether (N,) a cube has fallen off the table."""
     return np.any([sim.pose(name)[:, 2, 3] < sim.start_pose(name)[:, 2, 3] - DROP for name in ("red", "blue")], axis=0)
 
 
@@ -83,7 +81,7 @@ START: InitialState = {"robot": [-0.06, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: 0.41 m before the blue cube."""
 TILT = 0.3  # rad, fingers down
 GRIP = (-0.005, 0.0, 0.010)  # m, the palm from the cube's centre: the finger tips stay clear of what is below the cube
-ABOVE_BLUE = 0.006  # m that the red cube is let fall
+ABOVE_BLUE = 0.006  # m, the red cube is let go at this height above the blue one
 CLEAR = 0.08  # m above the blue cube on the way there
 BESIDE = (0.16, -0.26, 0.0)  # m, the right palm from the pelvis while it goes up past the table's rim
 LEFT_ASIDE = (0.20, 0.28, 0.72)  # m, the left palm in the base frame, clear of the table
@@ -118,7 +116,7 @@ def take(view: SceneView) -> list[Waypoint]:
 
 
 def stack(view: SceneView) -> list[Waypoint]:
-    """Plan the way over the blue cube and down, the letting go and the way back; the red cube is where it is held."""
+    """Plan the way over the blue cube and down, letting go, and the way back; the red cube is in the hand."""
     held = view.T_world_objects["red"][:3, 3] - view.T_world_hands[1][:3, 3]
     centre = view.T_world_objects["blue"][:3, 3] + [0.0, 0.0, STACKED + ABOVE_BLUE] - held
 

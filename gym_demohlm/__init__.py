@@ -1,4 +1,7 @@
-"""Gymnasium environments of G1 loco-manipulation tasks; importing it registers each task as ``DemoHLM/<Task>-v0``."""
+"""Gymnasium environments of G1 loco-manipulation tasks; importing it registers each task as ``DemoHLM/<Task>-v0``.
+
+What the author of a task needs can be imported from here: ``Task``, ``ObjectSpec``, ``Worlds`` and ``register_task``.
+"""
 
 import ctypes.util as _ctypes_util
 import os as _os
@@ -11,6 +14,12 @@ if _sys.platform == "linux" and not _os.environ.get("DISPLAY") and "MUJOCO_GL" n
             _os.environ["MUJOCO_GL"] = _backend
             break
 
+from gym_demohlm import task as _task
 from gym_demohlm.registry import all_tasks as _all_tasks
+from gym_demohlm.registry import register_task as register_task
+from gym_demohlm.simulation.worlds import Worlds as Worlds
+from gym_demohlm.task import ObjectSpec as ObjectSpec
+from gym_demohlm.task import Task as Task
 
+_task.register_task = register_task  # pyright: ignore[reportAttributeAccessIssue]  version 0.1 had it there
 _all_tasks()

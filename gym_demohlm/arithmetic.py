@@ -9,52 +9,84 @@ element by element arithmetic, square roots, sines and cosines, products of 3x3 
   processor has AVX-512.
 
 Whatever decides a bit of the simulation, the controller, inverse kinematics or generation uses this module for these.
+Numba compiles its functions: it neither reorders nor fuses additions and multiplications, and it takes ``atan2`` and
+its like from the C library.
 ``demohlm doctor`` checks the outcome.
 """
 
+import inspect
 import math
 import os
 import sys
+from collections.abc import Callable
 
 import eigenpy
+import numba
 import numpy as np
 
 _EXACT_BITS = 52  # float64 holds every integer up to 2**53: one bit to spare
 _ONE_THREAD = 262144  # multiplications: OpenBLAS hands larger products to threads, which wait long for one another
 _COLUMNS = 64
-_ELU_FLOOR = -24.0  # below it, exp(x) - 1 is -1 within 1e-10
-_HALVINGS = 6
-
-# frompyfunc calls the C library for each element, whatever the processor: quick enough for the few numbers of a tick.
-_arctan2 = np.frompyfunc(math.atan2, 2, 1)
-_arctan = np.frompyfunc(math.atan, 1, 1)
-_arcsin = np.frompyfunc(math.asin, 1, 1)
-_arccos = np.frompyfunc(math.acos, 1, 1)
 
 
-def arctan2(y: np.ndarray | float, x: np.ndarray | float) -> np.ndarray:
+def _element_by_element(function: Callable[..., float]) -> np.ufunc:
+    """Compile a function of numbers into one of arrays; its arithmetic is carried out as it is written."""
+    arguments = ", ".join(["float64"] * len(inspect.signature(function).parameters))
+    compiled = numba.vectorize([f"float64({arguments})"], cache=True)(function)
+    return compiled.ufunc  # pyright: ignore[reportAttributeAccessIssue]  calls of it skip numba's own checks
+
+
+@_element_by_element
+def arctan2(y: float, x: float) -> float:
     """Return the angle of (x, y) [rad], element by element."""
-    return np.asarray(_arctan2(y, x), dtype=np.float64)
+    return math.atan2(y, x)
 
 
-def arctan(x: np.ndarray | float) -> np.ndarray:
+@_element_by_element
+def arctan(x: float) -> float:
     """Return the angle in (-pi/2, pi/2) whose tangent is x [rad], element by element."""
-    return np.asarray(_arctan(x), dtype=np.float64)
+    return math.atan(x)
 
 
-def arcsin(x: np.ndarray | float) -> np.ndarray:
+@_element_by_element
+def arcsin(x: float) -> float:
     """Return the angle in [-pi/2, pi/2] whose sine is x [rad], element by element; x in [-1, 1]."""
-    return np.asarray(_arcsin(x), dtype=np.float64)
+    return math.asin(x)
 
 
-def arccos(x: np.ndarray | float) -> np.ndarray:
+@_element_by_element
+def arccos(x: float) -> float:
     """Return the angle in [0, pi] whose cosine is x [rad], element by element; x in [-1, 1]."""
-    return np.asarray(_arccos(x), dtype=np.float64)
+    return math.acos(x)
 
 
-def hypot(x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+@_element_by_element
+def elu(x: float) -> float:
+    """Return the exponential linear unit, x where positive and exp(x) - 1 elsewhere, within 1e-9, element by element.
+
+    exp(x) is a Taylor polynomial at x / 64, squared six times: only additions and multiplications.
+    """
+    y = min(max(x, -24.0), 0.0) * (1.0 / 64.0)  # below -24, exp(x) - 1 is -1 within 1e-10
+    power = 1.0 + y * (1.0 + y * (1.0 / 2.0 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0)))))
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    return max(x, 0.0) + (power - 1.0)
+
+
+@_element_by_element
+def hypot(x: float, y: float) -> float:
     """Return the length of (x, y), element by element; for lengths whose squares float64 can hold."""
-    return np.sqrt(np.multiply(x, x) + np.multiply(y, y))
+    return math.sqrt(x * x + y * y)
+
+
+@_element_by_element
+def _whole_steps(x: float, per_unit: float, most: float) -> float:
+    """Return x in whole steps of a grid of ``per_unit`` steps a unit, ``most`` at most, element by element."""
+    return np.rint(min(max(x * per_unit, -most), most))
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -84,25 +116,6 @@ def eigh(symmetric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues, ascending (n,), and the eigenvectors as columns (n, n) of a symmetric matrix (n, n)."""
     found = eigenpy.SelfAdjointEigenSolver(symmetric)
     return found.eigenvalues().copy(), found.eigenvectors().copy()
-
-
-def elu(x: np.ndarray) -> np.ndarray:
-    """Return the exponential linear unit, x where positive and exp(x) - 1 elsewhere, within 1e-9; of any shape.
-
-    exp(x) is a Taylor polynomial at x / 64, squared six times: only additions and multiplications.
-    """
-    y = np.clip(x, _ELU_FLOOR, 0.0)
-    y *= 0.5**_HALVINGS
-    power = y * (1.0 / 120.0)
-    for coefficient in (1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0):
-        power += coefficient
-        power *= y
-    power += 1.0
-    for _ in range(_HALVINGS):
-        power *= power
-    power -= 1.0
-    power += np.maximum(x, 0.0)
-    return power
 
 
 def _one_thread() -> bool:
@@ -146,9 +159,7 @@ class ExactProduct:
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return ``rows @ matrix``, (..., n) -> (..., m); the same bits for a row alone and among others."""
         lead, width = rows.shape[:-1], rows.shape[-1]
-        flat = np.clip(rows.reshape(-1, width), -self.bound, self.bound)
-        flat *= 1.0 / self.row_step
-        np.rint(flat, out=flat)
+        flat = _whole_steps(rows.reshape(-1, width), 1.0 / self.row_step, self.bound / self.row_step)
         product = np.empty((len(flat), self.matrix.shape[1]))
         for first in range(0, len(flat), self._block):
             block, into = flat[first : first + self._block], product[first : first + self._block]

@@ -1,4 +1,4 @@
-"""Every exception of the project: what was got, what was expected, and what to do about it."""
+"""All exceptions of the project. Each says what it got, what it expected, and what to do."""
 
 import difflib
 from collections.abc import Callable, Iterable
@@ -19,7 +19,7 @@ class DemoHLMError(Exception):
         self.got, self.expected, self.remedy = got, expected, remedy
 
     def __reduce__(self) -> tuple[Callable[..., "DemoHLMError"], tuple[Any, ...]]:
-        """Travel whole between processes: pickle would call ``__init__`` with the message alone."""
+        """Return how pickle rebuilds the error in another process, with all three parts."""
         return _rebuild, (type(self), self.got, self.expected, self.remedy)
 
 

@@ -1,3 +1,3 @@
-"""What task files build scenes from, under its short name: ``gym_demohlm.scene.furniture``."""
+"""Short name of ``gym_demohlm.scene.furniture``: what task files build scenes from."""
 
 from gym_demohlm.scene.furniture import *  # noqa: F403

@@ -155,9 +155,9 @@ def quat_to_matrix(quat_wxyz: ArrayLike) -> np.ndarray:
 
 
 def matrix_to_quat(R: ArrayLike) -> np.ndarray:
-    """Return the quaternion (..., 4) of a rotation matrix (..., 3, 3), its scalar not negative.
+    """Return the quaternion (..., 4) of a rotation matrix (..., 3, 3); its scalar is not negative.
 
-    Shepperd's method: of four equivalent formulas the one with the largest divisor.
+    Shepperd's method uses the one of four equivalent formulas that has the largest divisor.
     """
     R = np.asarray(R, dtype=np.float64)
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]

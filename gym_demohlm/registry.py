@@ -1,8 +1,9 @@
-"""Tasks by name: the files in ``tasks/``, what is registered from outside, and each one's Gymnasium environment."""
+"""Tasks by name, from the files in ``tasks/`` and from ``register_task``, each with its Gymnasium environment."""
 
 import functools
 import importlib
 import pkgutil
+from pathlib import Path
 
 import gymnasium as gym
 
@@ -33,7 +34,7 @@ _registered: dict[str, Task] = {}
 
 
 def register_task(task: Task) -> Task:
-    """Make a task known under its name and register its environment ``DemoHLM/<name>-v0``; returns the task.
+    """Register a task under its name, and its environment ``DemoHLM/<name>-v0``; return the task.
 
     Raises:
         SceneError: Another task has that name.
@@ -46,14 +47,13 @@ def register_task(task: Task) -> Task:
 
 @functools.cache
 def _load_task_files() -> None:
-    from gym_demohlm import tasks
-
-    for module in sorted(entry.name for entry in pkgutil.iter_modules(tasks.__path__)):
-        register_task(importlib.import_module(f"{tasks.__name__}.{module}").TASK)
+    folder = Path(__file__).parent / "tasks"  # found by name: task files import what is below them, this included
+    for module in sorted(entry.name for entry in pkgutil.iter_modules([str(folder)])):
+        register_task(importlib.import_module(f"gym_demohlm.tasks.{module}").TASK)
 
 
 def all_tasks() -> dict[str, Task]:
-    """Return every task by name: those of the package's task files, and those registered from outside."""
+    """Return all tasks by name: those of the package and those registered from outside."""
     _load_task_files()
     return dict(sorted(_registered.items()))
 
@@ -61,10 +61,10 @@ def all_tasks() -> dict[str, Task]:
 def get_task(name: str) -> Task:
     """Return a task by its name, "LiftBox" or "LiftBox-v0".
 
-    As in Gymnasium, "my_module:MyTask" imports a module first, which registers the task.
+    As in Gymnasium, "my_module:MyTask" first imports the module, which registers the task.
 
     Raises:
-        UnknownNameError: No such task; the message names the closest one.
+        UnknownNameError: There is no such task; the message names the closest one.
         SceneError: There is no such module.
     """
     module, _, bare = name.rpartition(":")

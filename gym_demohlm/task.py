@@ -1,11 +1,12 @@
 """A task as data (``Task``), the paper's initial regions (``Region``), and the registry of the files in ``tasks/``.
 
-A task file holds one ``TASK`` value: what it adds to the robot's world, which objects are tracked, when it has
-succeeded. The environment owns the loop. A new task is one new file in ``tasks/``, or, outside this package,
-one call of ``register_task`` (``docs/adding_a_task.md``).
+A task file holds one ``TASK`` value: what it adds to the robot's world, which objects are tracked, and when it has
+succeeded. The environment owns the loop. A new task is one new file in ``tasks/``, or one call of ``register_task``
+outside this package (``docs/adding_a_task.md``).
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
@@ -26,7 +27,7 @@ InitialState = dict[str, list[float]]
 """
 
 Predicate = Callable[["Worlds"], np.ndarray]
-"""A question put to all worlds at once: simulation -> (num_worlds,) bool."""
+"""A question about all worlds at once: simulation -> (num_worlds,) bool."""
 
 MotionFrame = Literal["robot", "hands", "scene"]
 
@@ -42,9 +43,9 @@ class Region:
         robot_x: Pelvis x [m].
         robot_y: Pelvis y [m].
         robot_yaw: Pelvis heading [rad].
-        object_y: Added to the default y of the object and its support [m].
-        object_z: Added to the default z of the object and its support [m].
-        object_yaw: Added to the object's default yaw [rad].
+        object_y: Offset of the object and its support from their default y [m].
+        object_z: Offset of the object and its support from their default z [m].
+        object_yaw: Offset from the object's default yaw [rad].
     """
 
     name: str
@@ -67,10 +68,10 @@ class Region:
         return {"robot": [x, y, yaw], "object": [dy, dz, dyaw]}
 
     def widened(self, factor: float) -> "Region":
-        """Return the region with wider ranges of the robot's pose; x away from the objects only, whose ranges stay.
+        """Return the region with wider ranges of the robot's pose, x only away from the objects, whose ranges stay.
 
         Args:
-            factor: Of the ranges' lengths; 1 gives the same region.
+            factor: Factor of the ranges' lengths; 1 returns the region itself.
         """
         if factor == 1.0:
             return self
@@ -111,12 +112,12 @@ DEFAULT_REGION = "R3"
 
 
 def dropped(name: str, depth_m: float) -> Predicate:
-    """Return the predicate "this object lies more than ``depth_m`` [m] below where it started"."""
+    """Return the predicate "this object is more than ``depth_m`` [m] below its start"."""
     return lambda sim: sim.pose(name)[:, 2, 3] < sim.start_pose(name)[:, 2, 3] - depth_m
 
 
 def limit_yaw(regions: Mapping[str, Region], object_yaw: float) -> dict[str, Region]:
-    """Return the regions with the object's yaw limited to +-object_yaw [rad], for things that cannot face away."""
+    """Return the regions with the object's yaw limited to +-object_yaw [rad], for things with a front."""
 
     def limited(region: Region) -> Region:
         low, high = region.object_yaw
@@ -129,19 +130,19 @@ def limit_yaw(regions: Mapping[str, Region], object_yaw: float) -> dict[str, Reg
 class ObjectSpec:
     """One tracked object of a task: a body with a free joint, or a mocap body that carries something articulated.
 
-    A part of another object, such as a door on its cabinet, has neither: it is ``placed=False`` and goes where that
-    one goes.
+    A part of another object, such as the door of a cabinet, has neither: it is ``placed=False`` and moves with its
+    parent.
 
     Attributes:
         name: Name of its body.
         position: Default position of the body's origin in the world [m].
         yaw: Default heading [rad].
-        symmetry: Turns about the body's z axis [rad] after which it looks the same, 0 among them; ``"any"`` for
-            a round thing; ``(0.0,)``, the default, for one without symmetry.
-        placed: Whether a region moves it; otherwise it always starts at its default pose.
-        moves_with: Name of the object that it lies on or hangs in: it starts where the other's motion takes it, as if
-            both were one body. Its own ``placed`` does not matter then.
-        height_joint: Slide joint that takes a region's z offset instead of the body, for a thing that stands on the
+        symmetry: Turns about the body's z axis [rad] after which the object looks the same, including 0; ``"any"`` for
+            a round object. The default, ``(0.0,)``, is for an object without symmetry.
+        placed: Whether a region moves the object; otherwise it always starts at its default pose.
+        moves_with: Name of the object that this one lies on or hangs in. It then starts as if both were one body, and
+            ``placed`` has no effect.
+        height_joint: Slide joint that takes the region's z offset instead of the body, for a thing that stands on the
             floor and can be made taller or lower.
     """
 
@@ -160,12 +161,12 @@ class ObjectSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """What a world remembers beside its physics, such as which parts of a board have been wiped.
+    """What a world remembers in addition to its physics, such as which parts of a board have been wiped.
 
     Attributes:
-        size: How many numbers; all are 0 at the reset.
-        update: Asked after every step: worlds, their memory (N, size) -> the new memory (N, size).
-        draw: Paints the memory (size,) of one world on the model, just before that world is drawn.
+        size: Number of values; all are 0 after a reset.
+        update: Function called after every step: worlds, their memory (N, size) -> the new memory (N, size).
+        draw: Function that shows the memory (size,) of one world in the model, just before that world is drawn.
     """
 
     size: int
@@ -179,24 +180,24 @@ class Task:
 
     Attributes:
         name: CamelCase; the Gymnasium id is ``DemoHLM/<name>-v0``.
-        description: The instruction in words, as a language-conditioned policy gets it.
-        hands: Hand module on both wrists.
-        build: Adds the task's bodies to the robot's spec (floor, light and camera are there already).
+        description: The instruction in words, for a language-conditioned policy.
+        hands: Kind of both hands.
+        build: Function that adds the task's bodies to the robot's spec, which already has floor, light and camera.
         objects: Tracked objects, in the order of ``environment_state``.
         success: The paper's success condition.
-        gaze_target: The object that the neck keeps in view.
-        supports: Mocap bodies under the placed objects; they follow the region's y and z offsets.
-        obstacles: Bodies that the robot should not touch; their contacts are reported as collisions.
+        gaze_target: Name of the object that the neck keeps in view.
+        supports: Mocap bodies under the placed objects; they move with the region's y and z offsets.
+        obstacles: Bodies that the robot should not touch; contacts with them are reported as collisions.
         contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
         force_pairs: Pairs of other bodies whose normal force is measured, such as a tool and what it works on.
-        failures: Named predicates that say how the task went wrong, such as "dropped".
+        failures: Predicates that end an attempt, by the name of what went wrong, such as "dropped".
         regions: Initial regions by name.
         episode_length_s: Time limit [s].
-        motion_frame: What the motion after a touch is relative to: "robot" for one that ends at the body, such as a
-            lift; "hands", with the robot's heading, for one that ends where they touched, such as pressing something
-            down; "scene" for one that things in the world lay down, such as the arc of a door.
-        riders: Bodies with free joints that start in or on an object and move with it, by that object's name.
-        memory: What a world remembers beside its physics; nothing by default.
+        motion_frame: What the motion after a touch is relative to: "robot" for a motion that ends at the body, such as
+            a lift; "hands" for one that ends where the hands touched, such as pressing something down; "scene" for one
+            that is fixed by things in the world, such as the arc of a door.
+        riders: Bodies with free joints that start in or on an object and are placed with it, by that object's name.
+        memory: What a world remembers in addition to its physics; None for nothing.
     """
 
     name: str
@@ -216,6 +217,11 @@ class Task:
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     memory: Memory | None = None
+
+    @property
+    def slug(self) -> str:
+        """The name as files and datasets have it: ``LiftBox`` -> ``lift_box``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", self.name).lower()
 
     @property
     def module(self) -> str:
@@ -261,5 +267,5 @@ class Task:
         return self.region(region).sample(rng)
 
     def default_state(self) -> InitialState:
-        """Return the state without randomness: robot at the near edge of the regions, objects at their defaults."""
+        """Return a state without randomness: robot at the near edge of the regions, objects at their default poses."""
         return {"robot": [-0.3, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}

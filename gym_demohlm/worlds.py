@@ -1,3 +1,3 @@
-"""What a task asks about, under its short name: ``gym_demohlm.simulation.worlds``."""
+"""Short name of ``gym_demohlm.simulation.worlds``: what the predicates of a task ask."""
 
 from gym_demohlm.simulation.worlds import Worlds as Worlds

@@ -1,4 +1,4 @@
-"""The data sheet of the servo that drives the neck and the grippers -> its limits as a joint sees them.
+"""Limits of the servo that drives the neck and the grippers, from its data sheet, as seen at the joint.
 
 Dynamixel XC330-M288-T at 5 V (https://emanual.robotis.com/docs/en/dxl/x/xc330-m288/); the paper, appendix "Hardware".
 """

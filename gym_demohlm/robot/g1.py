@@ -1,4 +1,4 @@
-"""The MJCF of the Unitree G1 that mjlab ships -> an MjSpec with motors, point feet, palms, neck and sensors.
+"""The MJCF of the Unitree G1 from mjlab -> an MjSpec with motors and point feet.
 
 Motor data (rotor inertia, gears, torque and speed limits) are Unitree's, as published by mjlab; joint armature follows
 from them as the rotor inertia seen through the gears. Joint names have no ``_joint`` suffix outside the MJCF.
@@ -22,7 +22,6 @@ WAIST_JOINTS = ("waist_yaw", "waist_roll", "waist_pitch")
 ARM_JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in _ARM)
 BODY_JOINTS = LEG_JOINTS + WAIST_JOINTS + ARM_JOINTS
 
-PHYSICS_DT = 0.002  # s: the joint PD runs at 500 Hz (paper, "Hardware Design")
 MASS = 33.34  # kg, without hands and head
 PELVIS_HEIGHT = 0.74  # m above the floor, knees slightly bent
 _HOME_ARM = np.array([0.2, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0])  # rad
@@ -119,8 +118,8 @@ def joint_ranges(spec: mujoco.MjSpec) -> np.ndarray:
 def load_body_spec() -> mujoco.MjSpec:
     """Read the G1 and give it motors and feet: 29 position actuators named as the joints, no sensors, no hands.
 
-    The MJCF's seven capsules a foot become four points, which cost less than half the time; its other collision
-    geoms collide with the world, not with one another.
+    Each foot gets four contact points instead of the MJCF's seven capsules, which takes less than half the time. The
+    other collision geoms collide with the world, not with each other.
     """
     spec = read_mjcf()
     for sensor in list(spec.sensors):
@@ -155,7 +154,7 @@ def load_body_spec() -> mujoco.MjSpec:
 
 
 def add_load(spec: mujoco.MjSpec, body: str, mass: float, position: tuple[float, float, float]) -> None:
-    """Fix a small weight to a body: one of its own, because a geom adds no mass to a body with explicit inertia.
+    """Fix a small weight to a body, as a body of its own: a geom adds no mass to a body with explicit inertia.
 
     Args:
         spec: To change.
@@ -164,7 +163,7 @@ def add_load(spec: mujoco.MjSpec, body: str, mass: float, position: tuple[float,
         position: In the body's frame [m].
     """
     load = spec.body(body).add_body(pos=position, mass=mass, explicitinertial=True)
-    load.ipos = (0.0, 0.0, 0.0)  # else it would be the body's own place once more
+    load.ipos = (0.0, 0.0, 0.0)  # the default would apply the body's position twice
     load.inertia = np.full(3, 0.4 * mass * 0.03**2)  # a ball of 3 cm
 
 

@@ -26,18 +26,18 @@ _HAND_OBSTACLES = ("pelvis", "torso", "left_thigh", "right_thigh", "left_shin", 
 class RubberPalm:
     """Contact model of a rubber hand: one box between the plane that thumb and finger tips touch and its back.
 
-    The hand's mesh reaches 0.045 m from the wrist axis with its curled finger tips, 0.026 m with its thumb and 0.010 m
-    with its palm. Rubber yields, so a flat face at the finger tips stands for the hand pressed against an object. It is
-    toed in, as the curled hand is, and comes parallel as the wrist yields to the squeeze; and it is soft, giving way by
-    a few millimetres, so that all of it bears at once, down to a hard core that a robot leaning on its hand rests on.
+    The mesh of the hand reaches 0.045 m from the wrist axis with its curled finger tips, 0.026 m with its thumb and
+    0.010 m with its palm. Rubber yields, so a flat face at the finger tips represents the hand pressed against an
+    object. The face is toed in, like the curled hand, and becomes parallel when the wrist yields to the squeeze. It is
+    soft by a few millimetres, so that all of it bears at once. Below is a hard core, on which a robot can lean.
 
     Attributes:
         face_center: Centre of the left hand's face in the wrist-yaw frame [m]; the right hand's is mirrored.
         toe_in: Turn of the box about the hand's z axis, finger tips towards the object [rad].
-        half_size: Of the box [m].
-        friction: Sliding, torsional [m] and rolling [m] friction; torsional that of a bearing patch of 3 cm radius.
+        half_size: Half lengths of the box [m].
+        friction: Sliding, torsional [m] and rolling [m] friction; the torsional one is that of a patch of 3 cm radius.
         solref, solimp: MuJoCo's contact softness of the rubber.
-        thickness: Of the rubber over the core, which is as hard as a gripper's finger [m].
+        thickness: Thickness of the rubber over the core [m]. The core is as hard as a gripper's finger.
     """
 
     face_center: tuple[float, float, float] = (0.107, -0.045, 0.0)
@@ -56,15 +56,15 @@ class ParallelGripper:
     Lengths are in the wrist-yaw frame. Masses are estimates from volume: PLA housing of 40 % infill, solid fingers.
 
     Attributes:
-        stroke: Travel of each jaw; open, the pads are twice that apart [m].
-        pinion_radius: [m].
+        stroke: Travel of each jaw [m]. The pads of an open gripper are two strokes apart.
+        pinion_radius: Radius of the pinion [m].
         current_share: Share of the stall torque the servo may hold without overheating.
         housing_start: x where the wrist ends [m].
-        housing_half_size: [m].
-        housing_mass: PLA and screws, without the servo [kg].
-        finger_half_size: Of a whole finger [m]; it starts where the housing ends.
-        finger_mass: [kg].
-        stiffness: Position gain of the servo seen at the jaws [N/m].
+        housing_half_size: Half lengths of the housing [m].
+        housing_mass: Mass of PLA and screws, without the servo [kg].
+        finger_half_size: Half lengths of a finger [m]. A finger starts where the housing ends.
+        finger_mass: Mass of one finger [kg].
+        stiffness: Position gain of the servo, as seen at the jaws [N/m].
         friction: Sliding, torsional [m] and rolling [m] friction of the pads.
     """
 
@@ -210,7 +210,7 @@ def add_gripper_actuators(spec: mujoco.MjSpec) -> None:
 
 
 def _make_grasping(geom: mujoco.MjsGeom) -> None:
-    """Let a geom of a hand touch the world, the other hand, trunk and legs, with friction against spinning."""
+    """Make a geom of a hand collide with the world, the other hand, trunk and legs, with torsional friction."""
     geom.contype, geom.conaffinity = g1.ROBOT_BIT | HAND_BIT, g1.WORLD_BIT | HAND_BIT
     geom.condim, geom.priority, geom.group = 4, 1, 3
     geom.solref = [0.005, 1]
@@ -219,7 +219,7 @@ def _make_grasping(geom: mujoco.MjsGeom) -> None:
 def _add_visual(
     body: mujoco.MjsBody, shape: str, size: list[float], pos: list[float], rgba: list[float], mass: float
 ) -> None:
-    """Add a primitive that is seen and weighed but never touched."""
+    """Add a primitive that is visible and has mass, but never collides."""
     kind = {"box": mujoco.mjtGeom.mjGEOM_BOX, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER}[shape]
     geom = body.add_geom(type=kind, size=size, pos=pos, rgba=rgba, mass=mass, group=2)
     geom.contype, geom.conaffinity = 0, 0

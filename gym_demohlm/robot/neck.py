@@ -1,4 +1,4 @@
-"""The G1 with its fixed head -> the G1 with a neck of two servos (yaw, then pitch) that carries a RealSense D435.
+"""The G1 with its fixed head -> the G1 with a neck of two servos (yaw, then pitch) and a RealSense D435.
 
 Frames: the site ``head_camera`` sits at the camera's colour lens with x forward (out of the lens), y left, z up. The
 MuJoCo camera ``head`` is at the same point; MuJoCo cameras look along their own -z with y up. Positive pitch looks
@@ -39,8 +39,8 @@ _NATURAL_FREQUENCY = 60.0  # rad/s of the servos' position loop: ten times the g
 def add_neck(spec: mujoco.MjSpec) -> None:
     """Replace the head by the neck and its camera, in place, without actuators.
 
-    The mass of the moving parts is taken out of the torso at the head's place: a part of the 1.04 kg head shell goes,
-    its electronics stay, and mass and balance of the whole robot are those that Unitree publishes.
+    The mass of the moving parts is taken from the torso, at the place of the head. So part of the head (1.04 kg) is
+    replaced, its electronics stay, and the robot's mass and balance remain those that Unitree publishes.
     """
     torso = spec.body("torso_link")
     for geom in list(torso.geoms):
@@ -102,7 +102,7 @@ def _add_part(
     rgba: list[float],
     mass: float,
 ) -> mujoco.MjsGeom:
-    """Add a primitive that is seen and weighed but never touched."""
+    """Add a primitive that is visible and has mass, but never collides."""
     kind = {"box": mujoco.mjtGeom.mjGEOM_BOX, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER}[shape]
     return body.add_geom(type=kind, size=size, pos=pos, rgba=rgba, mass=mass, group=2, contype=0, conaffinity=0)
 

@@ -3,6 +3,7 @@
 import mujoco
 
 from gym_demohlm.robot import g1, hands, neck
+from gym_demohlm.timing import PHYSICS_DT
 
 # Frames with sensors "<frame>_pos" (world position [m]) and "<frame>_quat" (world orientation, quat_wxyz).
 BODY_FRAMES = ("pelvis", "torso_link")
@@ -14,7 +15,7 @@ GRIPPER_JOINTS = ("left_gripper_jaw", "right_gripper_jaw")
 
 
 def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
-    """Return the robot alone: free joint ``floating_base_joint``, no floor, no light beside its own.
+    """Return the robot alone: free joint ``floating_base_joint``, no floor, no light but its own.
 
     Actuators, in order: the 29 of `g1.BODY_JOINTS`, ``neck_yaw``, ``neck_pitch`` [rad], and with grippers
     ``left_gripper``, ``right_gripper`` (0 open .. 1 closed). Sensors: `FRAMES`, `VELOCITY_FRAMES` and ``pelvis_gyro``
@@ -41,11 +42,11 @@ def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
 def set_options(spec: mujoco.MjSpec, kind: hands.Hands) -> None:
     """Set the options under which hands hold without creeping: elliptic cone, impratio 10, implicitfast, 500 Hz.
 
-    Grippers hold a cube or a bottle with 0.01 mm/s of creep. Between soft rubber palms a box of 1 kg would creep by
-    8 mm/s and turn but for the no-slip pass, with which it is 0.01 mm/s, for a quarter more time a step. Without that
-    pass sparse matrices save a sixth.
+    Grippers hold a cube or a bottle with a creep of 0.01 mm/s. Between soft rubber palms a box of 1 kg would creep by
+    8 mm/s and turn; with the no-slip pass it creeps by 0.01 mm/s, and a step takes a quarter longer. Without that pass,
+    sparse matrices save a sixth of the time.
     """
-    spec.option.timestep = g1.PHYSICS_DT
+    spec.option.timestep = PHYSICS_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0

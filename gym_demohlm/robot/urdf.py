@@ -1,7 +1,7 @@
-"""A compiled MuJoCo model -> URDF text of one of its kinematic trees, for libraries that read no MJCF.
+"""A compiled MuJoCo model -> URDF text of one of its kinematic trees, for libraries that cannot read MJCF.
 
-Bodies become links of the same name, joints keep their names, and sites become links on fixed joints. Numbers carry all
-17 digits, so forward kinematics agree with MuJoCo's to rounding.
+Bodies become links of the same name, joints keep their names, and sites become links on fixed joints. Numbers have
+17 digits, so forward kinematics agree with MuJoCo's up to rounding.
 """
 
 import math
@@ -64,8 +64,8 @@ def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> N
 def _add_joint(robot: ElementTree.Element, model: mujoco.MjModel, body: int, locked: Collection[str]) -> None:
     """Add the joint between a body and its parent.
 
-    MuJoCo turns a body about a point of its own frame, URDF about the child's origin: a joint whose point is not the
-    origin gets an empty link there. A joint's zero in MuJoCo is `qpos0`, folded into the origin here.
+    MuJoCo turns a body about any point of its frame, URDF about the child's origin. So a joint whose point is not the
+    origin gets an empty link at that point. MuJoCo's zero of a joint is `qpos0`; it becomes part of the origin here.
     """
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
     T_parent_body = _transform(model.body_pos[body], model.body_quat[body])

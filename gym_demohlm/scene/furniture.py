@@ -1,4 +1,4 @@
-"""Sizes -> tables and loose things of primitives, with the collision bits and contact settings that all tasks share.
+"""Sizes -> tables and loose things made of primitives, with the collision bits and contact settings of all tasks.
 
 Lengths are in metres, masses in kilograms. A table is a mocap body whose origin is on the floor under its middle: a
 task lists it among its supports.
@@ -20,9 +20,9 @@ WOOD, DARK_WOOD, STEEL, CARDBOARD = (
 )
 TOP_THICKNESS = 0.03
 SOFTNESS = (0.005, 1.0)
-"""A contact's time constant [s] and damping ratio: wood and steel that meet at 2 m/s give way by less than 5 mm."""
+"""Time constant [s] and damping ratio of contacts: wood and steel that meet at 2 m/s sink in by less than 5 mm."""
 UNYIELDING = (0.95, 0.999, 0.001)
-"""MuJoCo's solimp of small things on a table: a robot that falls on one presses it less far into the table."""
+"""MuJoCo's solimp of small things on a table, so that a falling robot presses them less far into it."""
 _LEG_RADIUS = 0.025
 _FOOT_HEIGHT = 0.3
 _SHAPES = {
@@ -43,16 +43,16 @@ def add_shape(
     rgba: Rgba = WOOD,
     mass: float = 0.0,
 ) -> mujoco.MjsGeom:
-    """Add a primitive that touches the robot and other things, with friction against spinning.
+    """Add a primitive that collides with the robot and other things, with torsional friction.
 
     Args:
-        body: What it belongs to.
-        name: Of the geom.
+        body: Body that gets the geom.
+        name: Name of the geom.
         shape: "box", "cylinder", "sphere", "capsule" or "ellipsoid".
-        half_size: Three half lengths or radii; radius and half height; or radius [m].
-        position: In the body's frame [m].
-        rgba: Colour.
-        mass: [kg].
+        half_size: Half lengths of a box or radii of an ellipsoid; radius and half height; or radius [m].
+        position: Centre of the geom in the body's frame [m].
+        rgba: Colour, 0 to 1.
+        mass: Mass of the geom [kg].
     """
     return _make_touching(add_picture(body, shape, half_size, position, rgba, mass), name)
 
@@ -61,7 +61,7 @@ def _make_touching(geom: mujoco.MjsGeom, name: str) -> mujoco.MjsGeom:
     geom.name = name
     geom.contype, geom.conaffinity, geom.condim = WORLD_BIT, ROBOT_BIT | WORLD_BIT, 4
     geom.friction = [1.0, 0.01, 0.001]
-    geom.solref, geom.solmix = SOFTNESS, 1e3  # the softness of such a thing counts, not that of robot or floor
+    geom.solref, geom.solmix = SOFTNESS, 1e3  # this softness counts, not that of the robot or floor
     return geom
 
 
@@ -73,7 +73,7 @@ def add_picture(
     rgba: Rgba = WOOD,
     mass: float = 0.0,
 ) -> mujoco.MjsGeom:
-    """Add a primitive that is only seen, and weighed where a mass is given."""
+    """Add a primitive that is visible and has the given mass, but never collides; arguments as in ``add_shape``."""
     size = [*half_size, *[0.0] * (3 - len(half_size))]
     geom = body.add_geom(type=_SHAPES[shape], size=size, pos=list(position), rgba=list(rgba), mass=mass)
     geom.contype, geom.conaffinity = 0, 0
@@ -90,15 +90,16 @@ def add_round_table(
 ) -> mujoco.MjsBody:
     """Add a round table on one leg.
 
-    The robot meets the round top; loose things rest on a square inside it, whose contacts with boxes are steadier.
+    The robot touches the round top. Loose things rest on an invisible square inside it, because a box is steadier on a
+    box than on a cylinder.
 
     Args:
         spec: The scene.
-        position: Of its middle, x and y.
-        radius: Of the top.
-        height: Of the top's upper face.
-        name: Of the mocap body.
-        up_to_rim: Loose things rest on the whole round top instead, for a task that moves them over the rim.
+        position: x and y of the table's middle [m].
+        radius: Radius of the top [m].
+        height: Height of the top's upper face [m].
+        name: Name of the mocap body.
+        up_to_rim: Whether loose things rest on the round top instead, for a task that moves them over the rim.
     """
     table = spec.worldbody.add_body(name=name, mocap=True, pos=[*position, 0.0])
     middle = height - TOP_THICKNESS / 2
@@ -109,7 +110,7 @@ def add_round_table(
         inner = add_shape(table, f"{name}_square", "box", square, [0, 0, middle], WOOD)
         inner.contype, inner.conaffinity, inner.rgba = 0, WORLD_BIT, [0, 0, 0, 0]
     add_shape(table, f"{name}_leg", "cylinder", [_LEG_RADIUS, height / 2], [0, 0, height / 2 - TOP_THICKNESS], STEEL)
-    # Leg and foot go through the floor where the table is lowered; a dome still looks like a foot then.
+    # Leg and foot go through the floor when the table is lowered; a dome still looks like a foot then.
     widest = min(0.8 * radius, 0.14)
     add_picture(table, "ellipsoid", [widest, widest, _FOOT_HEIGHT], rgba=STEEL)
     return table
@@ -126,10 +127,10 @@ def add_table(
 
     Args:
         spec: The scene.
-        position: Of its middle, x and y.
-        half_length: Of the top along x and y.
-        height: Of the top's upper face.
-        name: Of the mocap body.
+        position: x and y of the table's middle [m].
+        half_length: Half lengths of the top along x and y [m].
+        height: Height of the top's upper face [m].
+        name: Name of the mocap body.
     """
     table = spec.worldbody.add_body(name=name, mocap=True, pos=[*position, 0.0])
     x, y = half_length
@@ -153,11 +154,11 @@ def add_cube(
 
     Args:
         spec: The scene.
-        name: Of the body, its free joint and its geom.
-        position: Of its centre.
-        edge: Its length.
-        mass: Its mass.
-        rgba: Colour.
+        name: Name of the body, its free joint and its geom.
+        position: Centre of the cube [m].
+        edge: Length of an edge [m].
+        mass: Mass of the cube [kg].
+        rgba: Colour, 0 to 1.
     """
     body = spec.worldbody.add_body(name=name, pos=list(position))
     body.add_freejoint(name=name)
@@ -170,7 +171,7 @@ QUARTER_TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
 
 
 LIQUID_BIT = 8
-"""Collision bit of drops: they touch each other and the inner walls of vessels, beside whatever stands in the world."""
+"""Collision bit of drops: they collide with each other, the inner walls of vessels, and everything in the world."""
 
 
 def add_vessel(
@@ -183,19 +184,20 @@ def add_vessel(
     mass: float,
     rgba: Rgba,
 ) -> mujoco.MjsBody:
-    """Add a loose, open, round vessel: hands and table meet a full cylinder, drops eight walls and a bottom inside it.
+    """Add a loose, open, round vessel.
 
-    None of these is seen. What is seen is drawn over them: finer walls, or glass as one piece with its rim.
+    Hands and table touch a full cylinder; drops touch eight walls and a bottom inside it. These geoms are invisible.
+    Visible ones are drawn over them: finer walls, or glass as one piece with its rim.
 
     Args:
         spec: The scene.
-        name: Of the body, its free joint and its outer geom.
-        position: Of its middle.
-        radius: Outer.
-        height: Outer.
-        wall: Thickness of walls and bottom: drops pass through walls thinner than their way in a few steps.
-        mass: Without what is in it.
-        rgba: Colour; one that lets light through gets a rim.
+        name: Name of the body, its free joint and its outer geom.
+        position: Middle of the vessel [m].
+        radius: Outer radius [m].
+        height: Outer height [m].
+        wall: Thickness of walls and bottom [m]; drops pass through walls thinner than their way in a few steps.
+        mass: Mass of the empty vessel [kg].
+        rgba: Colour, 0 to 1; a transparent vessel gets a visible rim.
     """
     body = spec.worldbody.add_body(name=name, pos=list(position))
     body.add_freejoint(name=name)
@@ -217,7 +219,7 @@ def add_vessel(
 def _add_ring(
     body: mujoco.MjsBody, radius: float, wall: float, count: int, heights: tuple[float, float], rgba: Rgba
 ) -> list[mujoco.MjsGeom]:
-    """Add a round wall of boxes about the vertical, only seen; their outer corners meet."""
+    """Add a round wall of visible boxes around the vertical axis; their outer corners meet."""
     sides = []
     for index in range(count):
         angle, reach = 2 * math.pi / count * index, radius - wall / 2

@@ -1,4 +1,4 @@
-"""A word -> the pieces of straight line that write it, as it stands on a board and can be wiped off piece by piece."""
+"""A word -> the straight pieces of its letters, which can be wiped off a board one by one."""
 
 import math
 
@@ -20,10 +20,10 @@ def write(word: str, letter_size: tuple[float, float], pitch: float, piece_lengt
     """Return the pieces of a word as x0, z0, x1, z1 (n, 4) [m]: x to the right, z up, from the word's middle.
 
     Args:
-        word: In capitals.
+        word: The word, in capitals.
         letter_size: Width and height of a letter [m].
-        pitch: From one letter to the next [m].
-        piece_length: Longest piece that a stroke is cut into [m].
+        pitch: Distance from one letter to the next [m].
+        piece_length: Greatest length of a piece [m]; longer strokes are cut.
 
     Raises:
         UnknownNameError: There are no strokes for a letter.

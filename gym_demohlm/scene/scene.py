@@ -18,12 +18,12 @@ from gym_demohlm.task import InitialState, ObjectSpec, Task
 
 OVERVIEW_CAMERA, OVERVIEW_FOVY = "overview", 45.0  # degrees
 HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
-"""The body whose subtree is a hand, palm or gripper with it."""
+"""The body whose subtree is a hand, with its palm or gripper."""
 
 FRAME_ALIASES = {"torso": "torso_link"}
-"""Short names of frames -> names in the MJCF; every body or site name is a frame name too."""
+"""Short names of frames -> names in the MJCF. Every name of a body or site is a frame name too."""
 
-_SHOT, _LEAD = np.array([0.5, 0.35, 0.0]), 11340.0  # where in a loose box a shot is, of its half lengths; kg/m^3
+_SHOT, _LEAD = np.array([0.5, 0.35, 0.0]), 11340.0  # place of the shot in a box, in half lengths; kg/m^3
 _CONTACT_SLOTS = 8  # the strongest contacts of a pair; their normal forces are summed
 _MAX_FORCE = 2  # a contact sensor's reduction: keep the contacts with the largest force
 
@@ -38,22 +38,22 @@ class _Placement:
 
 
 class Scene:
-    """One task's compiled model with its addresses; nothing in it changes but what a `Memory` draws.
+    """One task's compiled model with its addresses. Only what a `Memory` draws changes in it.
 
     Attributes:
         task: The task.
         model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
-        physics: The same without what is only seen, for stepping: it gives the same bits, sooner. (MuJoCo clears a byte
-            for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.)
-        untouched: The same without the no-slip pass, for worlds in which no hand touches an object.
+        physics: The model without visual geoms, for stepping. It gives the same bits in less time: MuJoCo clears a byte
+            for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.
+        untouched: ``physics`` without the no-slip pass, for worlds in which no hand touches an object.
         base_qpos: Address of the pelvis pose in qpos (7 numbers: position, quaternion wxyz).
         base_qvel: Address of the pelvis velocity in qvel (6 numbers: linear in the world, angular in the pelvis frame).
         body_qpos, body_qvel: (29,) addresses of the body joints in g1.BODY_JOINTS order.
-        neck_qpos, neck_qvel: (2,) of the neck joints, yaw and pitch.
-        jaw_qpos, jaw_qvel: (2,) of the left and right gripper jaw; empty with rubber hands.
-        num_grippers: Controls are the body's, the neck's, then so many grippers'.
+        neck_qpos, neck_qvel: (2,) addresses of the neck joints, yaw and pitch.
+        jaw_qpos, jaw_qvel: (2,) addresses of the left and right gripper jaw; empty with rubber hands.
+        num_grippers: Number of gripper controls; they come after the controls of body and neck.
         contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs, then force_pairs.
-        collision_address: (obstacles, slots) the same between the robot and task.obstacles.
+        collision_address: (obstacles, slots) sensor addresses of the normal forces of the robot on task.obstacles.
     """
 
     def __init__(self, task: Task) -> None:
@@ -102,7 +102,7 @@ class Scene:
         return self._frames[name]
 
     def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Turn an initial state into positions: robot at rest on its feet, objects and their supports where it says.
+        """Turn an initial state into positions of the robot, at rest on its feet, of objects and of their supports.
 
         Returns:
             qpos (nq,), mocap positions (nmocap, 3) [m], mocap quaternions (nmocap, 4) wxyz.
@@ -230,14 +230,14 @@ def aim_overview(
     target: tuple[float, float, float],
     body: mujoco.MjsBody | None = None,
 ) -> None:
-    """Put the overview camera at `eye`, looking at `target` [m].
+    """Put the overview camera at ``eye`` and let it look at ``target``.
 
     Args:
         spec: The scene.
-        eye: In the body's frame, as is the target.
-        target: What is in the middle of the picture.
-        body: What the camera is fixed to, such as furniture that should be seen from one side however it is turned; the
-            world by default.
+        eye: Position of the camera in the body's frame [m].
+        target: Point in the middle of the picture, in the body's frame [m].
+        body: Body that the camera is fixed to, such as furniture that should always be seen from one side; the world by
+            default.
     """
     camera = spec.camera(OVERVIEW_CAMERA)
     if body is not None:
@@ -262,12 +262,12 @@ def _build_spec(task: Task) -> mujoco.MjSpec:
 
 
 def _unbalance(spec: mujoco.MjSpec) -> None:
-    """Put a lead shot into every loose box, off its middle.
+    """Put a small lead ball into every loose box, off its middle.
 
-    A box that lies on another one in exact balance comes to rest with their faces parallel to the last bit, where
-    MuJoCo's collider of boxes (3.11 and before, its issue 3476) sometimes finds a contact as deep as the whole box and
-    throws it across the room: 5 cm cubes that only lay on a table, once in 1500 s. A box off balance leans by some
-    1e-7 rad, which is enough; it is heavier by less than half a percent.
+    A box in exact balance on another one comes to rest with faces that are parallel to the last bit. There MuJoCo's box
+    collider (3.11 and before, issue 3476) sometimes finds a contact as deep as the whole box and throws it across the
+    room: 5 cm cubes on a table, once in 1500 s. A box off balance leans by about 1e-7 rad, which is enough. The ball
+    makes it heavier by less than half a percent.
     """
     for body in spec.bodies:
         if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):

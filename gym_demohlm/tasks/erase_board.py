@@ -1,8 +1,8 @@
 """EraseBoard: walk to a board on an easel, take the eraser from its tray and wipe the writing off to the left.
 
-Source: the paper's "Task Settings" and "Success Conditions". Left is the board's. Mended: moving the eraser counts only
-where it wiped, half of the writing or more, by pressing on the board; a board that faces away cannot be wiped, so its
-yaw stays within 45 degrees; the region's offsets move board and eraser as one.
+Source: the paper's "Task Settings" and "Success Conditions". Left is the left of the board. Changed: the eraser must
+press on the board and wipe at least half of the writing; a board that faces away cannot be wiped, so its yaw stays
+within 45 degrees; the region's offsets move board and eraser together.
 """
 
 import math
@@ -64,7 +64,7 @@ def _build(spec: mujoco.MjSpec) -> None:
 
 
 def _wipe(sim: "Worlds", wiped: np.ndarray) -> np.ndarray:
-    """Return which pieces of ink (N, n) are gone: those that have been under the felt while it pressed."""
+    """Return which pieces of ink (N, n) are gone: all that were ever under the felt while it pressed."""
     middles = np.insert((INK_START + INK_END) / 2, 0, 0.0, axis=1)
     T_eraser_board = poses.invert(sim.pose("eraser")) @ sim.pose("board")
     p_eraser_ink = poses.transform(T_eraser_board[:, None], middles)  # (N, n, 3)

@@ -1,8 +1,8 @@
 """ExchangeCube: take a cube from a small table with the right gripper and pass it to the left one.
 
-Source: the paper's "Task Settings" and "Success Conditions". Mended: the y direction is the robot's left (its heading's
-y axis), for the robot may stand on any side of the cube; and the right gripper must have let go. The table is round, so
-that the cube's yaw may ask for any side, and moves with the region's y and z offsets.
+Source: the paper's "Task Settings" and "Success Conditions". Changed: the y direction is the robot's left (the
+y axis of its heading), because the robot may stand on any side of the cube; the right gripper must have let go. The
+table is round, so that the robot can stand on any side, and moves with the region's y and z offsets.
 """
 
 from typing import TYPE_CHECKING

@@ -1,7 +1,7 @@
 """GraspCube: walk to a cube on a small round table, grasp it with the right gripper, lift it and draw it close.
 
-Source: the paper's "Task Settings" and "Success Conditions". Mended: the height is the cube's z above the table top,
-not y; x < 0.27 m is in the heading frame of the robot's pelvis; a closed gripper must press on the cube and be kept
+Source: the paper's "Task Settings" and "Success Conditions". Changed: the height is the cube's z above the table top,
+not y; x < 0.27 m is in the heading frame of the robot's pelvis; the closing gripper must press on the cube and be kept
 open by it; the region's y and z offsets move the table with the cube.
 """
 

@@ -1,8 +1,8 @@
 """Handover: push a cube off a small table with the right palm onto the left palm, and take it down.
 
-Source: the paper's "Task Settings" and "Success Conditions". Mended: the "button" there is the cube; "lower than the
-table" means wholly below its upper face. The table is round, so that the robot may stand on any side of it as the
-cube's yaw asks, and moves with the region's y and z offsets.
+Source: the paper's "Task Settings" and "Success Conditions". Changed: the paper's "button" is the cube; "lower than the
+table" means wholly below its upper face. The table is round, so that the robot can stand on any side of the cube,
+and moves with the region's y and z offsets.
 """
 
 from typing import TYPE_CHECKING

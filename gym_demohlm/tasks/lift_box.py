@@ -1,8 +1,8 @@
 """LiftBox: walk to a box on a stand and lift it between the palms.
 
 Source: the paper's "Task Settings" and "Success Conditions". The box stands on a round stand 0.2 m high, so that its
-centre is at the paper's 0.29 m. Mended: the region's y and z offsets move the stand with the box (at -0.2 m the box
-stands on the floor), or it would start in the air, or tip over the stand's edge.
+centre is at the paper's 0.29 m. Changed: the region's y and z offsets move the stand with the box (at -0.2 m the box
+stands on the floor); otherwise the box would start in the air or tip over the stand's edge.
 """
 
 import math
@@ -29,7 +29,7 @@ DROP = 0.05  # m below its start
 
 def _build(spec: mujoco.MjSpec) -> None:
     stand = spec.worldbody.add_body(name="stand", mocap=True, pos=[BOX_POSITION[0], BOX_POSITION[1], 0])
-    # The robot meets the cylinder; the box rests on a square inside it, whose contacts with a box are steadier.
+    # The robot touches the cylinder; the box rests on a square inside it, because a box is steadier on a box.
     square = STAND_RADIUS / math.sqrt(2)
     for name, shape, half_size, touches in (
         ("stand", "cylinder", [STAND_RADIUS, STAND_HEIGHT / 2], ROBOT_BIT),

@@ -1,8 +1,8 @@
 """OpenCabinet: walk to a cabinet, grip the bar handle of its door with the right gripper and pull the door open.
 
 Source: the paper's "Task Settings" and "Success Conditions": the right gripper is closed, round the handle, and the
-handle has moved by more than 0.2 m. Mended: yaw is limited to +-45 degrees, as a door cannot be opened from behind; the
-region's z offset lowers the whole cabinet, whose base goes into the floor.
+handle has moved by more than 0.2 m. Changed: yaw is limited to +-45 degrees, because a door cannot be opened from
+behind; the region's z offset lowers the whole cabinet, and its base sinks into the floor.
 """
 
 import math

@@ -1,9 +1,8 @@
 """PourWater: take a bottle from a table with the right gripper and pour its water into a bowl on its left.
 
-Source: the paper's "Task Settings" and "Success Conditions". Mended: the paper compares the bottle with itself; here it
-is the bottle's distance from the bowl, seen from above, that must be small, and most of the water, small spheres, must
-be in the bowl. Bottle and bowl are round, so the region's yaw turns them without a difference; the table and both move
-with its y and z offsets.
+Source: the paper's "Task Settings" and "Success Conditions". Changed: the paper compares the bottle with itself; here
+the bottle must be near the bowl, seen from above, and most of the water (small spheres) must be in the bowl. Bottle and
+bowl are round, so the region's yaw makes no difference; the table and both vessels move with its y and z offsets.
 """
 
 import math

@@ -1,7 +1,7 @@
 """PressCube: walk to a small cube on a table and press on it with the right hand.
 
-Source: the paper's "Task Settings" and "Success Conditions", whose "button" is the cube. Mended: nearness alone would
-count a hand that hovers, so the hand must also press; the region's y and z offsets move the table with the cube.
+Source: the paper's "Task Settings" and "Success Conditions", whose "button" is the cube. Changed: the hand must also
+press, because nearness alone would count a hovering hand; the region's y and z offsets move the table with the cube.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,8 @@
 """PushCart: walk to a platform cart, grip its push bar with both grippers and push the cart ahead.
 
-Source: the paper's "Task Settings" and "Success Conditions": both grippers are closed and hold the crossbar. Mended:
-the cart must also have moved; yaw is limited to +-45 degrees, as a cart is pushed from behind; the floor under it
-cannot be lowered, so the region's z offset lowers the bar, whose posts telescope. Fixed wheels ahead, casters behind.
+Source: the paper's "Task Settings" and "Success Conditions": both grippers are closed and hold the crossbar. Changed:
+the cart must also have moved; yaw is limited to +-45 degrees, because a cart is pushed from behind; the floor under it
+cannot be lowered, so the region's z offset lowers the bar on telescopic posts. Fixed wheels in front, casters behind.
 """
 
 import math
@@ -61,7 +61,7 @@ def _build(spec: mujoco.MjSpec) -> None:
 
 
 def _add_wheel(body: mujoco.MjsBody, name: str, position: tuple[float, float]) -> None:
-    """Add a wheel that turns about y; it touches the floor as a ball, in one point, and is seen as a disc."""
+    """Add a wheel that turns about y. It touches the floor as a ball, in one point, and looks like a disc."""
     wheel = body.add_body(name=f"wheel_{name}", pos=[*position, WHEEL_RADIUS])
     axle = wheel.add_joint(name=f"wheel_{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
     axle.damping[0], axle.frictionloss, axle.armature = 0.005, 0.001, 1e-4

@@ -1,9 +1,9 @@
 """PushCube: walk to a cube on a table and push it 0.1 m to the left, onto a green field, with the right hand.
 
-Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, however the robot stands;
-it pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Mended: the cube's pose alone does
-not tell which way the world's y is, so a field on the table, tracked too, shows where the cube should go; the cube must
-still stand on the table, and the right palm must have pushed it: an arm that strikes it may send it as far. The
+Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, wherever the robot stands.
+The robot pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Changed: the cube's pose
+alone does not show the world's y, so a field on the table, which is tracked too, shows where the cube should go; the
+cube must still stand on the table, and the right palm must have pushed it, because a blow may send it as far. The
 region's y and z offsets move the table with the cube.
 """
 
@@ -44,12 +44,12 @@ def _build(spec: mujoco.MjSpec) -> None:
 
 
 def _moved(sim: "Worlds") -> np.ndarray:
-    """Return how far to the left the cube is of where it began (N,) [m]."""
+    """Return how far (N,) the cube is to the left of its start [m]."""
     return sim.pose("cube")[:, 1, 3] - sim.start_pose("cube")[:, 1, 3]
 
 
 def _remember(sim: "Worlds", memory: np.ndarray) -> np.ndarray:
-    """Add the last step's way to that pushed by the palm; memory (N, 2) is this way and where the cube was [m]."""
+    """Return the new memory (N, 2): how far left the palm has pushed the cube, and how far left it is [m]."""
     pushed, before = memory.T
     moved = _moved(sim)
     pushing = (sim.contact_force("right", "cube") >= PUSHING_N) & (np.abs(moved - before) < STRUCK)

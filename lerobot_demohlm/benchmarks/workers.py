@@ -11,8 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from faults import digest
-
+from lerobot_demohlm.benchmarks.faults import digest
 from lerobot_demohlm.generation.runner import Backend, GenerationRequest, generate
 
 

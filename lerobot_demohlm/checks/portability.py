@@ -7,9 +7,7 @@ The digests that this version of the code has are in ``digests.json``, with the 
 
 import functools
 import hashlib
-import importlib.metadata
 import json
-import platform
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
@@ -30,8 +29,6 @@ from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import provenance
 
 PACKAGED = Path(__file__).parent / "digests.json"
-PACKAGES = ("mujoco", "numpy", "placo", "eigenpy")
-"""Libraries whose version decides bits; the C library is the other one."""
 _TICKS, _WORLDS, _SOLUTIONS, _STEPS = 60, 5, 40, 10
 _PROBE = "LiftBox"  # the task of the parts
 _ATTEMPTS = 2  # of a behaviour
@@ -77,12 +74,6 @@ def stamp(task: Task) -> str:
     return (known or behaviour(task))[:8]
 
 
-def versions() -> dict[str, str]:
-    """Return what decides bits besides this package's code: versions of libraries, kind of machine."""
-    found = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {**found, "libc": " ".join(platform.libc_ver()).strip() or "unknown", "machine": platform.machine()}
-
-
 def packaged() -> dict[str, Any]:
     """Return what ``digests.json`` holds: ``versions``, ``parts`` and, by task, ``tasks``.
 
@@ -91,7 +82,9 @@ def packaged() -> dict[str, Any]:
     """
     try:
         content = json.loads(PACKAGED.read_text())
-        return {key: dict(content[key]) for key in ("versions", "parts", "tasks")}
+        found = {key: dict(content[key]) for key in ("versions", "parts", "tasks")}
+        machine = found["versions"].pop("machine", None)  # of files that named the architecture alone
+        return found if machine is None else found | {"versions": found["versions"] | {"cpu": f"{machine} with FMA"}}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{PACKAGED.name} that cannot be read ({error})", "digests", "reinstall the package"
@@ -100,12 +93,7 @@ def packaged() -> dict[str, Any]:
 
 def differing_versions() -> tuple[str, ...]:
     """Return what differs between this machine's versions and those of the packaged digests, a line each."""
-    return compare_versions(packaged()["versions"], versions())
-
-
-def compare_versions(then: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
-    """Return what differs between two results of ``versions``, a line each."""
-    return tuple(f"{name} {then.get(name)} then, {now[name]} now" for name in now if then.get(name) != now[name])
+    return provenance.bit_differences(packaged()["versions"])
 
 
 def _digest(content: Iterable[bytes]) -> str:
@@ -115,28 +103,28 @@ def _digest(content: Iterable[bytes]) -> str:
     return digest.hexdigest()
 
 
-def _sensors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return made-up proprioception of robots about their home pose: quaternion, gyro, positions, velocities."""
+def _sensed(rng: np.random.Generator, count: int) -> Proprioception:
+    """Return made-up proprioception of robots about their home pose."""
     quat_wxyz = np.array([1.0, 0.0, 0.0, 0.0]) + 0.05 * rng.uniform(-1, 1, (count, 4))
     quat_wxyz /= np.sqrt((quat_wxyz**2).sum(axis=1, keepdims=True))
     joints = len(g1.BODY_JOINTS)
-    return (
-        quat_wxyz,
-        rng.uniform(-0.5, 0.5, (count, 3)),
-        g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
-        rng.uniform(-1, 1, (count, joints)),
+    return Proprioception(
+        quat_wxyz=quat_wxyz,
+        gyro=rng.uniform(-0.5, 0.5, (count, 3)),
+        q=g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
+        dq=rng.uniform(-1, 1, (count, joints)),
     )
 
 
 def _controller() -> Iterable[bytes]:
     rng, controller = np.random.default_rng(1), WholeBodyController(_WORLDS)
-    controller.reset(np.arange(_WORLDS), *_sensors(rng, _WORLDS))
+    controller.reset(np.arange(_WORLDS), _sensed(rng, _WORLDS))
     low, high = command.LOWER, command.UPPER
     for tick in range(_TICKS):
         if tick % 20 == 0:
             commands = low + rng.random((_WORLDS, command.SIZE)) * (high - low)
             commands[: _WORLDS // 2, command.VELOCITY] = 0.0
-        yield controller.step(*_sensors(rng, _WORLDS), commands).tobytes()
+        yield controller.step(_sensed(rng, _WORLDS), commands).tobytes()
     yield controller.state.tobytes()
 
 
@@ -173,9 +161,8 @@ def _physics() -> Iterable[bytes]:
 
 
 def _attempts(task: Task, count: int) -> Iterable[bytes]:
-    """Yield what attempts of a task come to: its packaged demonstration, R3, seed 0, commands with noise."""
-    settings = Settings(command_noise=1.0)
-    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=settings)
+    """Yield what attempts of a task come to as `demohlm generate` makes them: packaged demonstration, R3, seed 0."""
+    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=Settings())
     try:
         for episode in attempts.run(range(count)):
             yield f"{episode.digest} {episode.outcome} {episode.stage} {GENERATION_STREAM}".encode()

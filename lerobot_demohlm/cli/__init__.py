@@ -15,8 +15,8 @@ from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 INTERRUPTED = 130  # exit code of a process that was stopped from the keyboard
 SHELLS = ("bash", "zsh")
-# Modules that come with an extra of the distribution.
-_EXTRAS = {"rsl_rl": "wbc", "av": "wbc", "ray": "ray"}
+EXTRAS = {"rsl_rl": "wbc", "tensordict": "wbc", "warp": "wbc", "mujoco_warp": "wbc", "ray": "ray"}
+"""Modules that come with an extra of the distribution."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,7 +70,7 @@ def _carry_out(verb: Verb, arguments: list[str]) -> int:
         options = parse(module.Options, verb, arguments)
         return 0 if options is None else module.run(options) or 0
     except ModuleNotFoundError as error:
-        extra = _EXTRAS.get((error.name or "").split(".")[0])
+        extra = EXTRAS.get((error.name or "").split(".")[0])
         if extra is None:
             raise
         raise DemoHLMError(

@@ -23,7 +23,7 @@ def script(shell: str) -> str:
         tyro.cli(
             _choice([verb for verb in VERBS if len(verb.words) == 1]),
             prog="demohlm",
-            args=["--tyro-print-completion", shell],
+            args=["--tyro-write-completion", shell, "-"],
             config=(*MARKERS, tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
         )
     return said.getvalue().rstrip()

@@ -52,7 +52,9 @@ def run(options: Options) -> None:
         facts, _ = read_run(options.root)
         short = {key: facts[key] for key in ("attempts", "successes", "outcomes")}
     else:
-        page, short = explain_attempt(options.root, attempt, task, options.demonstration, not options.no_pictures)
+        page, short = explain_attempt(
+            options.root, attempt, task, options.demonstration, not options.no_pictures, options.episode
+        )
         print(f"{short['outcome']} in {short['stage']} after {short['length_s']:.1f} s. {short['reason']}".strip())
     pages.write(options.output, page)
     print(json.dumps({"page": str(options.output), **short}))

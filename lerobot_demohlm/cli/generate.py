@@ -1,7 +1,7 @@
 """``demohlm generate``."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +9,7 @@ import tyro
 
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.parsing import default
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.generation.runner import BLOCK_SIZE, GenerationRequest, generate, summary_json
 
 _TARGET = tyro.conf.create_mutex_group(required=True, title="how many")
@@ -35,6 +36,7 @@ class Options(GenerationRequest):
     num_attempts: Annotated[int | None, _TARGET, default("none")] = None
     demonstration: Annotated[Path | None, default("the packaged one")] = None
     repo_id: Annotated[str | None, default("made from task and region")] = None
+    variation: tyro.conf.OmitArgPrefixes[DataVariation] = field(default_factory=DataVariation)
     block_size: tyro.conf.Suppress[tyro.conf.Fixed[int]] = BLOCK_SIZE
     show_progress: tyro.conf.Suppress[tyro.conf.Fixed[bool]] = True
 

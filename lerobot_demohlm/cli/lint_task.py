@@ -28,7 +28,7 @@ class Options(Settings):
         results: Folder of JSON lines; a line a task is added to its lint.jsonl.
     """
 
-    task: tyro.conf.Positional[str]
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
     root: Annotated[Path | None, default("the packaged one")] = None
     no_demonstration: bool = False
     time_limit_s: Annotated[float | None, default("the task's own")] = None

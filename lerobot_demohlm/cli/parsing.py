@@ -27,6 +27,18 @@ MARKERS = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
 _WORDS = {str: "TEXT", int: "INT", float: "FLOAT", Path: "PATH"}
 
 
+class UsageError(DemoHLMError):
+    """Options that do not fit their verb.
+
+    Args:
+        wrong: What is wrong with them.
+        verb: The verb's name.
+    """
+
+    def __init__(self, wrong: str, verb: str) -> None:
+        Exception.__init__(self, f"{wrong}; see `demohlm {verb} --help`")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Flag:
     """One option of a verb.
@@ -38,6 +50,8 @@ class Flag:
         required: Whether there is no default.
         default: The default; None where it has to be given or is not a value.
         fallback: What happens without it, in words, where that is more than the default says.
+        group: Title of the group of which only one may be given; empty without one.
+        group_required: Whether one of that group has to be given.
         help: Its attribute doc.
     """
 
@@ -47,6 +61,8 @@ class Flag:
     required: bool
     default: Any
     fallback: str | None
+    group: str
+    group_required: bool
     help: str
 
 
@@ -64,9 +80,13 @@ def parse(options: type, verb: Verb, arguments: list[str]) -> Any:  # noqa: ANN4
         arguments: What follows the verb's name.
 
     Raises:
-        DemoHLMError: An option is unknown, missing, doubled, or has a wrong value.
+        UnknownNameError: No such option.
+        UsageError: An option is missing, excludes another, or has a wrong value.
     """
-    _check_names(list(flags_of(options)), verb, arguments)
+    flags = list(flags_of(options))
+    given = _given(flags, verb, arguments)
+    if not {"-h", "--help"} & set(arguments):
+        _check_missing(flags, verb, given)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -80,8 +100,14 @@ def parse(options: type, verb: Verb, arguments: list[str]) -> Any:  # noqa: ANN4
     except SystemExit as end:
         if not end.code:
             return None
-        raise DemoHLMError(_one_line(said.getvalue()), "other options", f"see `demohlm {verb.name} --help`") from None
+        wrong = _message(said.getvalue())
+        if wrong.startswith("Missing from"):  # options are looked for above
+            wrong = f"got no {' and no '.join(flag.name.upper() for flag in flags if not flag.name.startswith('-'))}"
+        raise UsageError(wrong, verb.name) from None
     sys.stderr.write(said.getvalue())
+    for flag in flags:
+        if flag.several and getattr(found, flag.name.removeprefix("--").replace("-", "_")) == ():
+            raise UsageError(f"no value after {flag.name}", verb.name)
     return found
 
 
@@ -104,6 +130,7 @@ def flags_of(options: type) -> Iterator[Flag]:
         value, several = _value(kind)
         start = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
         hint = next((mark.help_behavior_hint for mark in marks if hasattr(mark, "help_behavior_hint")), None)
+        group = next((mark for mark in marks if hasattr(mark, "title") and hasattr(mark, "required")), None)
         yield Flag(
             name=field.name if tyro.conf.Positional in marks else f"--{field.name.replace('_', '-')}",
             value=value,
@@ -111,17 +138,20 @@ def flags_of(options: type) -> Iterator[Flag]:
             required=start is dataclasses.MISSING,
             default=None if start is dataclasses.MISSING else start,
             fallback=hint.removeprefix("(default: ").removesuffix(")") if hint else None,
+            group=group.title if group else "",
+            group_required=bool(group and group.required),
             help=" ".join(docs.get(field.name, "").split()),
         )
 
 
-def _check_names(flags: list[Flag], verb: Verb, arguments: list[str]) -> None:
+def _given(flags: list[Flag], verb: Verb, arguments: list[str]) -> list[str]:
+    """Return the flags that are given, in the order of the dataclass."""
+    found = set()
     known = [flag.name for flag in flags if flag.name.startswith("-")]
     for word in arguments:
-        if word == "--":
-            return
         name = word.partition("=")[0].replace("_", "-")
         if not name.startswith("--") or name in (*known, "--help"):
+            found.add(name)
             continue
         if name in verb.moved:
             raise DemoHLMError(
@@ -130,6 +160,22 @@ def _check_names(flags: list[Flag], verb: Verb, arguments: list[str]) -> None:
                 f"see `demohlm {verb.moved[name].partition(' --')[0]} --help`",
             )
         raise UnknownNameError(f"option of `demohlm {verb.name}`", name, known)
+    return [name for name in known if name in found]
+
+
+def _check_missing(flags: list[Flag], verb: Verb, given: list[str]) -> None:
+    missing = [flag for flag in flags if flag.required and flag.name.startswith("-") and flag.name not in given]
+    if missing:
+        wanted = ", ".join(f"{flag.name} {flag.value}" for flag in missing)
+        raise UsageError(f"got no {' and no '.join(flag.name for flag in missing)}; expected {wanted}", verb.name)
+    for group in dict.fromkeys(flag.group for flag in flags if flag.group):
+        members = [flag for flag in flags if flag.group == group]
+        chosen = [flag.name for flag in members if flag.name in given]
+        names = " or ".join(flag.name for flag in members)
+        if len(chosen) > 1:
+            raise UsageError(f"got {' and '.join(chosen)}; expected one of them", verb.name)
+        if not chosen and members[0].group_required:
+            raise UsageError(f"got no {names}; expected one of them", verb.name)
 
 
 def _unwrap(hint: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401
@@ -152,18 +198,21 @@ def _value(kind: Any) -> tuple[str, bool]:  # noqa: ANN401
     return ("" if kind is bool else _WORDS[kind]), several
 
 
-def _one_line(box: str) -> str:
-    """Return what tyro has written into a box on stderr, without the box and its hint at the help."""
-    parts: list[str] = []
+def _message(box: str) -> str:
+    """Return the first paragraph below the title of what tyro has written into a box on stderr, in one line.
+
+    Paragraphs are divided by rules. Where the output cannot show the characters of a box, there are only rules.
+    """
+    paragraphs: list[list[str]] = [[]]
     for line in box.splitlines():
-        title = re.fullmatch(r"[╭+][─-]+ (.+?) [─-]+[╮+]", line.strip())
-        inner = re.fullmatch(r"[│|] ?(.*?) ?[│|]", line.strip())
-        text = title[1] + ":" if title else inner[1].strip() if inner else ""
-        if text.startswith("For full helptext"):
-            break
-        if text.strip("─-"):
-            parts.append(text.removeprefix("• "))
-    return re.sub(r" ([.,)])", r"\1", " ".join(parts)).rstrip(".")
+        text = line.strip(" │").removeprefix("• ")
+        if line.startswith(("╭", "╰")) or not text.strip("─-"):
+            paragraphs.append([])
+        else:
+            paragraphs[-1].append(text)
+    found = [" ".join(paragraph) for paragraph in paragraphs if paragraph]
+    title = 0 if box.startswith("╭") else 1
+    return re.sub(r" ([.,)])", r"\1", found[title] if title < len(found) else " ".join(found)).rstrip(".")
 
 
 def only[T](kind: type[T], options: Any) -> T:  # noqa: ANN401

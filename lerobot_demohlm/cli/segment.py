@@ -33,10 +33,10 @@ def run(options: Options) -> None:
     task = get_task(options.task)
     demonstration = load(options.root, task)
     print("   tick  hand   event")
-    for event in events(demonstration):
+    for event in events(demonstration, task):
         print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
     print("\n  ticks    hand   follows")
-    for entry in segment(demonstration):
+    for entry in segment(demonstration, task):
         what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
         print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
     if options.figure is not None:

@@ -53,14 +53,15 @@ def run(options: Options) -> None:
     """
     from gym_demohlm.registry import get_task
     from lerobot_demohlm.datasets.facts import read_facts
+    from lerobot_demohlm.datasets.origin import is_generated
     from lerobot_demohlm.policies.presets import train_config
     from lerobot_demohlm.policies.training import train, write_config
-    from lerobot_demohlm.reproducibility import provenance
 
     if options.num_threads < 1:
         raise PolicyError(f"num_threads={options.num_threads}", "1 or more", "correct --num-threads")
-    root = options.root or Path("data") / provenance.file_name(get_task(options.task or ""))
-    read_facts(root)
+    root = options.root or Path("data") / get_task(options.task or "").slug
+    if not is_generated(root):
+        read_facts(root)  # says what is missing
     output = options.output or Path("outputs") / f"{root.name}_{options.policy}_{options.preset}"
     chosen = {name: getattr(options, name) for name in ("steps", "seed", "num_episodes", "device")}
     if options.write_config is not None:

@@ -48,6 +48,12 @@ VERBS = (
         example="demohlm quickstart",
     ),
     Verb(
+        name="doctor",
+        group="begin here",
+        help="look at this machine: versions, graphics, room, and whether it computes the packaged bits",
+        example="demohlm doctor",
+    ),
+    Verb(
         name="record",
         group="demonstrations",
         help="record a demonstration with the task's scripted operator",

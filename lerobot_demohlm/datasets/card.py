@@ -17,7 +17,6 @@ from lerobot.utils.constants import OBS_ENV_STATE
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.facts import read_facts
-from lerobot_demohlm.reproducibility import provenance
 
 TEMPLATE = "card.md.j2"
 FACTS_FOLDER = "facts"
@@ -111,7 +110,7 @@ def write_ready_card(root: Path, repo_id: str, folder: Path) -> Path:
     """
     facts = read_facts(root)
     values = card_values(LeRobotDatasetMetadata(repo_id, root=root), repo_id, facts)
-    name = provenance.file_name(get_task(facts["task"]))
+    name = get_task(facts["task"]).slug
     kept, card = folder / FACTS_FOLDER / f"{name}.json", folder / f"{name}.md"
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(values, indent=1) + "\n")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import read_facts
+from lerobot_demohlm.datasets.origin import is_edited, is_generated
 
 
 def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str | None = None) -> str:
@@ -22,8 +23,15 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
         URL of the repository.
 
     Raises:
-        DatasetError: The dataset cannot be opened, another version wrote it, or the hub refused it.
+        DatasetError: The dataset cannot be opened, another version wrote it, LeRobot's tools have edited it, or the hub
+            refused it.
     """
+    if is_edited(root) and is_generated(root):
+        raise DatasetError(
+            f"{root}, which LeRobot's tools have made of another one",
+            "a dataset as `demohlm generate` wrote it, for the card that says how",
+            "push it with LeRobotDataset(...).push_to_hub()",
+        )
     facts = read_facts(root)
     if repo_id.count("/") != 1 or not all(repo_id.split("/")):
         raise DatasetError(f"repo id {repo_id!r}", "user/name", "correct --repo-id")

@@ -3,13 +3,17 @@
 LeRobot reads a sample with a chunk of 20 actions in milliseconds, so a batch of 512 takes many times a training step
 of the MLP. Here the columns are tensors, and torch's loader gets a batch that is stacked already.
 
-``install`` makes ``lerobot-train`` open such datasets this way, also in loader processes; LeRobot's plugin mechanism
-calls it. Any other dataset is read as before, and ``DEMOHLM_IN_MEMORY=0`` in the environment leaves them all alone.
+``install`` makes ``lerobot-train`` open such datasets this way, and makes their batches in its own process. LeRobot's
+plugin mechanism calls it. LeRobot starts four loading processes by default, which import everything before the first
+step, and then hand over batches more slowly than they are made here. Any other dataset is read as before, and
+``DEMOHLM_IN_MEMORY=0`` in the environment leaves them all alone.
 """
 
 import copy
+import functools
+import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +23,7 @@ from lerobot.datasets.compute_stats import get_feature_stats
 from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
-from lerobot_demohlm.datasets.facts import FACTS_PATH
+from lerobot_demohlm.datasets.origin import is_generated
 from lerobot_demohlm.datasets.writer import to_numpy
 
 SWITCH = "DEMOHLM_IN_MEMORY"
@@ -67,6 +71,8 @@ default_collate_fn_map[Sample] = _stack  # torch's way to teach its loader a typ
 class InMemoryDataset(LeRobotDataset):
     """A LeRobot dataset that holds its columns in memory, if `demohlm generate` wrote it and it has no images.
 
+    Datasets that LeRobot's tools have made of such ones are held, too.
+
     Samples equal those of ``LeRobotDataset`` with the same arguments. Statistics differ twice: standard deviations have
     a floor (``STD_FLOOR``), and where some of the episodes are chosen, the statistics are of those, so that a policy
     trained on the first hundred knows nothing of the others.
@@ -75,7 +81,7 @@ class InMemoryDataset(LeRobotDataset):
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
         """Open it as ``LeRobotDataset`` does, with the same arguments."""
         super().__init__(*args, **kwargs)
-        self.is_held = (self.root / FACTS_PATH).is_file() and not self.meta.camera_keys
+        self.is_held = is_generated(self.root) and not self.meta.camera_keys
         if not self.is_held:
             return
         table: Any = self.hf_dataset.with_format("arrow")[:]
@@ -135,6 +141,30 @@ def _floored(stats: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, np.
 
 
 def install() -> None:
-    """Let LeRobot's training open datasets as ``InMemoryDataset``, unless the environment's switch says 0."""
-    if os.environ.get(SWITCH, "1") != "0":
-        factory.LeRobotDataset = InMemoryDataset  # pyright: ignore[reportPrivateImportUsage]
+    """Let LeRobot's training open datasets as ``InMemoryDataset``, unless the environment's switch says 0.
+
+    A training on a dataset that is held in memory then gets ``num_workers=0``, which a line of its log says.
+    """
+    if os.environ.get(SWITCH, "1") == "0":
+        return
+    factory.LeRobotDataset = InMemoryDataset  # pyright: ignore[reportPrivateImportUsage]
+    make = factory.make_dataset
+    if not hasattr(make, "__wrapped__"):
+        factory.make_dataset = _without_workers(make)
+
+
+def _without_workers(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Wrap LeRobot's ``make_dataset``, which gets the configuration before any loading process is started."""
+
+    @functools.wraps(make)
+    def wrapped(cfg: Any) -> Any:  # noqa: ANN401
+        dataset = make(cfg)
+        if isinstance(dataset, InMemoryDataset) and dataset.is_held and cfg.num_workers > 0:
+            logging.info(
+                "The dataset is held in memory, so no loading processes are started: num_workers=0 instead of "
+                f"{cfg.num_workers}. {SWITCH}=0 in the environment turns this off."
+            )
+            cfg.num_workers = 0
+        return dataset
+
+    return wrapped

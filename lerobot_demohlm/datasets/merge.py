@@ -53,7 +53,7 @@ def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], 
         )
         for record, arrays, label in zip(records, read_arrays(source), labels, strict=False)
     ]
-    write_dataset(root, "local/block", episodes)
+    write_dataset(root, "local/block", episodes, facts)
     return root
 
 

@@ -10,18 +10,20 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as pads
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import InitialState
 from lerobot_demohlm.datasets.episode import executed_of
 from lerobot_demohlm.datasets.facts import read_attempts
+from lerobot_demohlm.datasets.origin import is_edited, read_origins
+from lerobot_demohlm.datasets.tables import read_table
 from lerobot_demohlm.reproducibility import fingerprint
 
 STATE, ENVIRONMENT_STATE, ACTION, SUCCESS = (
     "observation.state", "observation.environment_state", "action", "next.success"
 )  # fmt: skip
-_LABELS = ("episode_index", "length", "attempt", "outcome", "fingerprints")
+_PLACES = ("episode_index", "length")
+_LABELS = ("attempt", "outcome", "fingerprints")  # what `demohlm generate` writes beside what LeRobot does
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,8 +36,9 @@ class StoredEpisode:
         outcome: How that ended.
         digest: SHA-256 of all simulated states.
         initial_state: Where it began.
-        fingerprints: (T + 1, 4) uint32, see ``fingerprint``.
-        commands: (T, 23) as executed: the actions, or these with the noise that they carried.
+        fingerprints: (T + 1, 4) uint32, see ``fingerprint``; None where editing the dataset has lost them.
+        commands: (T, 23) as executed: the actions, or these with the noise that they carried. Editing loses the noise,
+            so they are the bare actions where there are no fingerprints.
         columns: (T, D) by feature.
     """
 
@@ -44,13 +47,13 @@ class StoredEpisode:
     outcome: str
     digest: str
     initial_state: InitialState
-    fingerprints: np.ndarray
+    fingerprints: np.ndarray | None
     commands: np.ndarray
     columns: dict[str, np.ndarray]
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self.fingerprints) - 1
+        return len(self.columns[SUCCESS])
 
 
 def lengths(root: Path) -> dict[int, int]:
@@ -68,6 +71,9 @@ def attempt_of(root: Path, episode: int) -> int:
     Raises:
         DatasetError: As ``lengths``, or there is no such episode.
     """
+    if is_edited(root):
+        for origin in read_origins(root, [episode]).values():
+            return origin.record["attempt"]
     for row in _labels(root, [episode]):
         return row["attempt"]
     raise DatasetError(f"episode {episode}", f"one of the episodes of {root}", "choose another --episode")
@@ -80,29 +86,39 @@ def read(root: Path, episodes: Sequence[int]) -> list[StoredEpisode]:
         DatasetError: The dataset is damaged, or its parts do not belong together.
     """
     labels = {row["episode_index"]: row for row in _labels(root, episodes)}
-    records = {record["attempt"]: record for record in read_attempts(root)}
+    if is_edited(root):
+        records = {episode: origin.record for episode, origin in read_origins(root, episodes).items()}
+    else:
+        by_attempt = {record["attempt"]: record for record in read_attempts(root)}
+        records = {episode: by_attempt.get(label["attempt"]) for episode, label in labels.items()}
     features = (STATE, ENVIRONMENT_STATE, ACTION, SUCCESS)
-    table = _table(root / "data", ("episode_index", *features), episodes)
+    table = read_table(root / "data", ("episode_index", *features), episodes)
     episode_index = table.column("episode_index").to_numpy()
     arrays = {name: _array(table.column(name)) for name in features}
     stored = []
     for episode in episodes:
-        label, frames = labels[episode], episode_index == episode
-        record, fingerprints = records.get(label["attempt"]), fingerprint.from_bytes(label["fingerprints"])
+        label, record, frames = labels[episode], records[episode], episode_index == episode
         count, columns = int(frames.sum()), {name: array[frames] for name, array in arrays.items()}
-        executed = executed_of(label, count)
-        if record is None or record["frames"] != count or len(fingerprints) != count + 1:
+        kept = label.get("fingerprints")
+        fingerprints = None if kept is None else fingerprint.from_bytes(kept)
+        executed = None if kept is None else executed_of(label, count)
+        if (
+            record is None
+            or record["frames"] != count
+            or (fingerprints is not None and len(fingerprints) != count + 1)
+            or label.get("attempt", record["attempt"]) not in (None, record["attempt"])
+        ):
             raise DatasetError(
-                f"episode {episode} with {count} frames, {len(fingerprints)} fingerprints, of attempt "
-                f"{label['attempt']} with {record['frames'] if record else 'no'} frames",
+                f"episode {episode} with {count} frames, {'no' if fingerprints is None else len(fingerprints)} "
+                f"fingerprints, of attempt {label.get('attempt')} with {record['frames'] if record else 'no'} frames",
                 "as many frames as the attempt had, and one fingerprint more",
                 "restore the dataset, or generate it again",
             )
         stored.append(
             StoredEpisode(
                 episode=episode,
-                attempt=label["attempt"],
-                outcome=label["outcome"],
+                attempt=record["attempt"],
+                outcome=record["outcome"],
                 digest=record["digest"],
                 initial_state=record["initial_state"],
                 fingerprints=fingerprints,
@@ -114,29 +130,10 @@ def read(root: Path, episodes: Sequence[int]) -> list[StoredEpisode]:
 
 
 def _labels(root: Path, episodes: Sequence[int] | None) -> list[dict[str, Any]]:
-    """Return the labels of some episodes, or of all."""
-    return _table(root / "meta" / "episodes", _LABELS, episodes, optional=("executed",)).to_pylist()
-
-
-def _table(
-    folder: Path, columns: Sequence[str], episodes: Sequence[int] | None, optional: Sequence[str] = ()
-) -> pa.Table:
-    """Read columns of the Parquet files of a folder, optional ones where they are: of some episodes, or all."""
-    chosen = None if episodes is None else pads.field("episode_index").isin(list(episodes))
-    try:
-        files = pads.dataset(folder, format="parquet")
-        missing = [name for name in columns if name not in files.schema.names]
-        if not missing:
-            present = [name for name in optional if name in files.schema.names]
-            return files.to_table(columns=[*columns, *present], filter=chosen)
-    except (OSError, pa.ArrowException) as error:
-        text = " ".join(str(error).split())[:200]
-        raise DatasetError(f"{folder} that cannot be read ({text})", "Parquet files", "restore the dataset") from None
-    raise DatasetError(
-        f"{folder} without {', '.join(missing)}",
-        "a dataset as `demohlm generate` wrote it, with a fingerprint of every step",
-        "generate it again with this version: the same seed gives the same attempts",
-    )
+    """Return the labels of some episodes, or of all; what editing a dataset loses may be missing, or None."""
+    optional = ("executed", *_LABELS) if is_edited(root) else ("executed",)
+    wanted = _PLACES if is_edited(root) else (*_PLACES, *_LABELS)
+    return read_table(root / "meta" / "episodes", wanted, episodes, optional).to_pylist()
 
 
 def _array(column: pa.ChunkedArray) -> np.ndarray:

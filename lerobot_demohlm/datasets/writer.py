@@ -24,8 +24,9 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.timing import FPS
+from lerobot_demohlm.datasets import origin
 from lerobot_demohlm.datasets.episode import Episode
-from lerobot_demohlm.datasets.facts import ROBOT_TYPE, require_new_root
+from lerobot_demohlm.datasets.facts import ROBOT_TYPE, GenerationFacts, require_new_root
 from lerobot_demohlm.datasets.statistics import episode_stats
 
 NEXT_SUCCESS = "next.success"
@@ -61,7 +62,7 @@ def features(task: str) -> dict[str, dict[str, Any]]:
     return table
 
 
-def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None:
+def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode], facts: GenerationFacts | None = None) -> None:
     """Write episodes as one finalized LeRobot v3 dataset with one data file.
 
     The content equals what ``LeRobotDataset.add_frame`` and ``save_episode`` write (a test compares them), without
@@ -71,6 +72,7 @@ def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None
         root: Where; must not exist.
         repo_id: Name of the dataset on the hub, ``user/name``.
         episodes: One or more, of one task, each with frames.
+        facts: Of their run, which each episode then names as its origin; none by default.
     """
     require_new_root(root)
     if not episodes or any(len(episode.success) == 0 for episode in episodes):
@@ -90,7 +92,7 @@ def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None
             columns = _columns(episode, episode_index, start, meta.get_task_index(episode.task_text))
             writer.write_table(_arrow_table(columns, schema))  # one row group an episode, as LeRobot's writer
             stats.append(episode_stats(columns))
-            rows.append(_episode_row(episode, episode_index, start, stats[-1]))
+            rows.append(_episode_row(episode, episode_index, start, stats[-1], facts))
             meta.info.total_frames += length
     pq.write_table(pa.Table.from_pylist(rows), root / episodes_file(0), compression="snappy")
     meta.info.total_episodes, meta.info.total_tasks = len(rows), len({episode.task_text for episode in episodes})
@@ -101,10 +103,15 @@ def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode]) -> None
 
 
 def _episode_row(
-    episode: Episode, episode_index: int, start: int, stats: dict[str, dict[str, np.ndarray]]
+    episode: Episode,
+    episode_index: int,
+    start: int,
+    stats: dict[str, dict[str, np.ndarray]],
+    facts: GenerationFacts | None,
 ) -> dict[str, Any]:
     """Return an episode's row of ``meta/episodes``, in LeRobot's order."""
     length = len(episode.success)
+    named = {} if facts is None else origin.columns(facts, episode.record())
     return {
         "episode_index": episode_index,
         "tasks": [episode.task_text],
@@ -115,6 +122,7 @@ def _episode_row(
         "dataset_to_index": start + length,
         **episode.labels(),
         **{f"stats/{key}/{name}": value.tolist() for key, each in stats.items() for name, value in each.items()},
+        **named,
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
     }

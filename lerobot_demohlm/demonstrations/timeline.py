@@ -70,7 +70,7 @@ def rows(task: Task, demonstration: Demonstration) -> list[Row]:
 def draw_timeline(demonstration: Demonstration) -> Figure:
     """Return the figure: for each hand its forces on objects [N], its gripper where it has one, and its segments."""
     task = get_task(demonstration.task)
-    segments, found = segment(demonstration), events(demonstration)
+    segments, found = segment(demonstration, task), events(demonstration, task)
     shown = rows(task, demonstration)
     heights = [BAR if row.values is None else CURVE for row in shown]
     figure = drawing.new_figure(WIDTH, TOP + sum(heights) + GAP * len(shown) + BOTTOM - GAP)

@@ -11,7 +11,7 @@ from typing import Any
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from lerobot_demohlm.datasets.episode import OUTCOMES
+from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, roll_batches
 

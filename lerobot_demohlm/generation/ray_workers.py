@@ -14,6 +14,7 @@ from uuid import uuid4
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.generation.block import pack_block, unpack_block
 from lerobot_demohlm.generation.workers import Done, Make
+from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # else `uv run` has Ray send this directory to every node
 
@@ -25,9 +26,9 @@ class RayWorkers:
     """Tasks of one CPU each, on the cluster at ``RAY_ADDRESS``, or the one of this machine, or a new one.
 
     Args:
-        make: What they do.
-        directory: Of the run, seen by this process alone.
-        num_workers: Most tasks at once; those that the cluster has no CPU for wait for one.
+        make: Makes a block in a task.
+        directory: The run's directory, which only this process needs to see.
+        num_workers: Largest number of tasks; those that the cluster has no CPU for wait for one.
     """
 
     def __init__(self, make: Make, directory: Path, num_workers: int) -> None:
@@ -83,6 +84,7 @@ _kept: dict[str, Make] = {}
 
 def _make_block(key: str, make: Make, attempts: range) -> dict[str, bytes]:
     """Make a block in a scratch directory and return its files."""
+    hush_torchcodec()
     if key not in _kept:
         _kept.clear()
         _kept[key] = make

@@ -46,7 +46,7 @@ _MIN_MAX_STATE_ACTIONS = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "
 _MIN_MAX_STATE = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
 """Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more: the state does not lie there.
 
-An object's place is measured by deviations all the same, or millimetres of it would be small: docs/experiments.md.
+An object's place is measured by deviations all the same, or millimetres of it would be small: docs/policies.md.
 """
 _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 """Diffusion learns the last steps of an episode too, as the other two do, and nothing of what lies behind them."""
@@ -129,7 +129,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "down_dims": (128, 128, 128),
             "kernel_size": 3,
             "diffusion_step_embed_dim": 128,
-            "prediction_type": "sample",  # noise asks for a longer training: docs/experiments.md
+            "prediction_type": "sample",  # noise asks for a longer training: docs/policies.md
             "clip_sample": False,  # actions go beyond +-1 deviation
             "noise_scheduler_type": "DDIM",
             "num_train_timesteps": 2,  # all are made to act: of a hundred, LeRobot's DDIM would begin below full noise
@@ -207,6 +207,7 @@ def train_config(
     seed: int = 0,
     num_episodes: int | None = None,
     device: str = "cpu",
+    batch_size: int | None = None,
 ) -> "TrainPipelineConfig":
     """Return what ``lerobot-train`` is to be given.
 
@@ -219,6 +220,7 @@ def train_config(
         seed: Of the weights and of the order of the samples.
         num_episodes: Train on so many episodes from the first on; on all by default.
         device: Where it is trained.
+        batch_size: Samples a step; the preset's by default.
 
     Raises:
         UnknownNameError: No such policy or preset.
@@ -243,7 +245,7 @@ def train_config(
         policy=config,
         output_dir=output,
         steps=steps,
-        batch_size=chosen.batch_size,
+        batch_size=chosen.batch_size if batch_size is None else batch_size,
         num_workers=0,  # a batch from memory is made sooner than handed over by another process
         save_freq=0,  # the last checkpoint only
         env_eval_freq=0,

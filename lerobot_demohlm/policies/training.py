@@ -34,6 +34,7 @@ def train(
     num_episodes: int | None = None,
     device: str = "cpu",
     num_threads: int = 1,
+    batch_size: int | None = None,
 ) -> Path:
     """Train a policy and return its last checkpoint.
 
@@ -48,6 +49,7 @@ def train(
         device: Where it is trained.
         num_threads: Threads of torch. Two on two cores gain a third; where another process is busy, two are ten times
             slower than one.
+        batch_size: Samples a step; the preset's by default.
 
     Raises:
         UnknownNameError: No such policy or preset.
@@ -56,7 +58,15 @@ def train(
     """
     require_new_root(root)
     config = train_config(
-        dataset_root, root, policy, preset, steps=steps, seed=seed, num_episodes=num_episodes, device=device
+        dataset_root,
+        root,
+        policy,
+        preset,
+        steps=steps,
+        seed=seed,
+        num_episodes=num_episodes,
+        device=device,
+        batch_size=batch_size,
     )
     if num_episodes is not None:
         available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]

@@ -29,7 +29,6 @@ from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
 from lerobot_demohlm.experiments.tables import latest, method_title
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports.films import policy_take, write_take
-from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 VIDEO_WIDTH = 320  # px
@@ -195,7 +194,7 @@ def _film(failure: Failure) -> Video | None:
         return None
     with tempfile.TemporaryDirectory() as scratch:
         write_take(take, Path(scratch), width=VIDEO_WIDTH, strips=False, cameras=("overview",))
-        video = (Path(scratch) / f"{provenance.file_name(task)}_overview.mp4").read_bytes()
+        video = (Path(scratch) / f"{task.slug}_overview.mp4").read_bytes()
     return Video(mp4=base64.b64encode(video).decode(), caption=take.caption)
 
 

@@ -17,7 +17,6 @@ from gym_demohlm.task import Task
 from gym_demohlm.timing import FPS, STEP_DT
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.reproducibility import provenance
 
 CAMERAS = {"overview": "A fixed camera", "head": "The robot's head camera"}
 STRIP_FRAMES, STRIP_WIDTH = 6, 320  # frames of a strip, and the width of one [px]
@@ -117,7 +116,7 @@ class Shots(Sequence[np.ndarray]):
 
 
 def generated_take(task: Task, region: str, seed: int, index: int, demonstration: Path | None = None) -> Take:
-    """Make one attempt of a generation run.
+    """Make one attempt, the one that ``demohlm generate`` makes with this seed by default.
 
     Args:
         task: The task.
@@ -187,7 +186,7 @@ def write_take(
     sim, height = Simulation(take.task), round(width * HEIGHT / WIDTH)
     if strips:
         sim.model.vis.quality.shadowsize = SHADOW_SIZE
-    stem = provenance.file_name(take.task)
+    stem = take.task.slug
     with ExitStack() as stack:
         stack.callback(sim.close)
         plain = stack.enter_context(Renderer(sim.model, width, height))

@@ -9,7 +9,6 @@ from pathlib import Path
 import jinja2
 
 from lerobot_demohlm.reports.films import CAMERAS, Take
-from lerobot_demohlm.reproducibility import provenance
 
 
 def render_page(takes: Sequence[Take], template: str, folder: str, videos: bool) -> str:
@@ -29,7 +28,7 @@ def render_page(takes: Sequence[Take], template: str, folder: str, videos: bool)
         keep_trailing_newline=True,
     )
     text = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / template).read_text()
-    shown = [{"take": take, "stem": provenance.file_name(take.task)} for take in takes]
+    shown = [{"take": take, "stem": take.task.slug} for take in takes]
     return environment.from_string(text).render(shown=shown, cameras=CAMERAS, folder=folder, videos=videos)
 
 
@@ -45,7 +44,7 @@ def write_markdown(takes: Sequence[Take], root: Path, page: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for take in takes:
         for camera in CAMERAS:
-            name = f"{provenance.file_name(take.task)}_{camera}.png"
+            name = f"{take.task.slug}_{camera}.png"
             shutil.copyfile(root / name, folder / name)
     page.write_text(render_page(takes, "gallery.md.j2", os.path.relpath(folder, page.parent), videos=False))
 

@@ -1,9 +1,10 @@
-"""Simulation -> what its results depend on: hashes of controller and compiled model, family of processors."""
+"""Simulation -> what its results depend on: hashes of controller and compiled model, versions, kind of processor."""
 
 import functools
 import hashlib
+import importlib.metadata
 import platform
-import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
@@ -11,9 +12,10 @@ import numpy as np
 
 import gym_demohlm
 from gym_demohlm.control.whole_body import Weights
-from gym_demohlm.task import Task
 
-_VECTOR_UNITS = ("avx512f", "avx2", "sse4_2", "sve", "asimd")  # widest first
+LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
+"""Packages whose version decides bits. The C library and the kind of processor do so too."""
+_FMA_FLAGS = ("fma", "avx2", "avx512f", "asimd", "sve")  # of /proc/cpuinfo; each implies fused multiply-add
 
 
 def controller_hash() -> str:
@@ -39,22 +41,62 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
+def processor() -> dict[str, str]:
+    """Return the first entry of ``/proc/cpuinfo`` by its keys; empty on a system without that file."""
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return {}
+    entries = (line.partition(":") for line in text.split("\n\n")[0].splitlines())
+    return {key.strip(): value.strip() for key, _, value in entries}
+
+
+def processor_flags() -> frozenset[str]:
+    """Return the features of the processor by the names that Linux gives them, such as ``avx2``."""
+    found = processor()
+    return frozenset(found.get("flags", found.get("Features", "")).split())
+
+
 @functools.cache
 def cpu_family() -> str:
-    """Return what of the processor decides the last bits of floating-point results: make and widest vector unit."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return f"{platform.machine()} {platform.processor()}".strip()
-    entries: dict[str, str] = {}
-    for line in lines:
-        key, _, value = line.partition(":")
-        entries.setdefault(key.strip(), value.strip())
-    flags = entries.get("flags", entries.get("Features", "")).split()
-    vector = next((unit for unit in _VECTOR_UNITS if unit in flags), "")
-    return " ".join(part for part in (platform.machine(), entries.get("vendor_id", ""), vector) if part)
+    """Return what of the processor decides bits: its architecture, and whether it has fused multiply-add (FMA).
+
+    The maker and wider vector units decide nothing: ``gym_demohlm.arithmetic`` does not depend on them.
+    """
+    return kind_of_processor(" ".join([platform.machine(), *processor_flags()]))
 
 
-def file_name(task: Task) -> str:
-    """Return a task's name as files have it: ``LiftBox`` -> ``lift_box``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", task.name).lower()
+def kind_of_processor(text: str) -> str:
+    """Return the kind of processor that a text describes: ``x86_64 with FMA``.
+
+    Args:
+        text: An architecture and what else is known: features, or the whole of an older record such as
+            ``x86_64 AuthenticAMD avx512f``.
+    """
+    machine, *rest = text.split() or ["unknown"]
+    if "without" in rest:
+        return f"{machine} without FMA"
+    return f"{machine} {'with' if {flag.lower() for flag in rest} & set(_FMA_FLAGS) else 'without'} FMA"
+
+
+def bit_versions() -> dict[str, str]:
+    """Return what decides bits besides this package's code: versions of libraries and of the C library, processor."""
+    found = {name: importlib.metadata.version(name) for name in LIBRARIES}
+    return found | {"libc": " ".join(platform.libc_ver()).strip() or "unknown", "cpu": cpu_family()}
+
+
+def bit_differences(then: Mapping[str, str], now: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Return what differs in what decides bits, a line each; empty where bits must agree.
+
+    Args:
+        then: Versions that were recorded. What was not recorded may differ, so it is a line too.
+        now: Versions to compare with; those of this machine by default.
+    """
+    lines = []
+    for name, value in (bit_versions() if now is None else now).items():
+        known = then.get(name)
+        if known is None:
+            lines.append(f"{name} not recorded, {value} now")
+        elif (kind_of_processor(known) if name == "cpu" else known) != value:
+            lines.append(f"{name} {known} then, {value} now")
+    return tuple(lines)

@@ -12,21 +12,24 @@ from typing import Any
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import Task
+from lerobot_demohlm.datasets import origin
 from lerobot_demohlm.datasets.episode import Episode
-from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts, read_records
+from lerobot_demohlm.datasets.facts import count_attempts, read_records
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.block import RECORDS
 
 
-def read_run(root: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def read_run(root: Path, episode: int | None = None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the facts of a run, as in ``meta/demohlm.json``, and its attempts.
 
     Args:
         root: Of its dataset, of its failed attempts, or of what it has done so far.
+        episode: One whose run is wanted, where LeRobot has merged several.
     """
     begun = root / "run.json"
     if not begun.is_file():
-        return read_facts(root), read_attempts(root)
+        return origin.read_run(root, episode)
     blocks = sorted((root / "blocks").glob("[0-9]*"))
     records = [record for block in blocks for record in read_records(block / RECORDS)]
     if not records:
@@ -57,6 +60,7 @@ def explain_attempt(
     task: Task | None = None,
     demonstration: Path | None = None,
     pictures: bool = True,
+    episode: int | None = None,
 ) -> tuple[str, dict[str, Any]]:
     """Make an attempt of a run again.
 
@@ -66,6 +70,7 @@ def explain_attempt(
         task: Of the run; the one of that name by default.
         demonstration: Directory of the run's demonstration; the packaged one by default.
         pictures: Whether to draw film strips, which needs graphics.
+        episode: Which episode of the dataset it is, where LeRobot has merged several runs.
 
     Returns:
         The page, and what it says in short.
@@ -73,11 +78,11 @@ def explain_attempt(
     Raises:
         DatasetError: There is no such attempt, or the demonstration is not the run's.
     """
-    from lerobot_demohlm.generation.stages import chosen_settings
+    from lerobot_demohlm.generation.stages import Settings
     from lerobot_demohlm.reports.explain.attempt_page import attempt_page
     from lerobot_demohlm.reports.explain.trace import trace
 
-    facts, attempts = read_run(root)
+    facts, attempts = read_run(root, episode)
     task = task or get_task(facts["task"])
     records = {record["attempt"]: record for record in attempts}
     if attempt not in records:
@@ -89,7 +94,8 @@ def explain_attempt(
             f"{facts['demonstration_hash'][:12]}, which the run was made from",
             "name its directory with --demonstration",
         )
-    made = trace(task, source, facts["region"], facts["seed"], attempt, chosen_settings(facts))
+    settings = Settings(variation=DataVariation.read(facts))
+    made = trace(task, source, facts["region"], facts["seed"], attempt, settings)
     same = made.episode.digest == records[attempt]["digest"]
     again = agreement(records[attempt], made.episode)
     origin = f"{facts['task']}, {facts['region']}, seed {facts['seed']}, attempt {attempt} of {len(records)}"

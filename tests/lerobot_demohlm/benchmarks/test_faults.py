@@ -172,7 +172,7 @@ def test_two_runs_on_one_root(tmp_path: Path) -> None:
 def test_a_lock_dies_with_its_process(tmp_path: Path) -> None:
     opened(tmp_path / "data").close()
     code = (
-        "import sys; from pathlib import Path; from lerobot_demohlm.run_lock import RunLock\n"
+        "import sys; from pathlib import Path; from lerobot_demohlm.reproducibility.run_lock import RunLock\n"
         "lock = RunLock(Path(sys.argv[1])); print('locked', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,12 @@ if cpu_features["AVX512_SKX"]:
     _CORES["skylakex"] = {"OPENBLAS_CORETYPE": "SkylakeX"}
 if not _AVX512:
     del _LESS["no_avx512"]
-_CODE = "import json; from lerobot_demohlm import portability; print(json.dumps(portability.parts()))"
+_COMPILED = {
+    "compiled_for_haswell": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""},
+    "compiled_for_any": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+}
+_ENVIRONMENTS = {**_CORES, **_LESS, **_COMPILED}
+_CODE = "import json; from lerobot_demohlm.checks import portability; print(json.dumps(portability.parts()))"
 
 same_versions = pytest.mark.skipif(
     bool(portability.differing_versions()), reason="other libraries than the packaged digests have: bits may differ"
@@ -34,9 +40,9 @@ def here() -> dict[str, str]:
     return portability.parts()
 
 
-@pytest.mark.parametrize("environment", [*_CORES, *_LESS])
+@pytest.mark.parametrize("environment", _ENVIRONMENTS)
 def test_other_code_paths_give_the_same_bits(environment: str, here: dict[str, str]) -> None:
-    changed = os.environ | {**_CORES, **_LESS}[environment]
+    changed = os.environ | _ENVIRONMENTS[environment]
     out = subprocess.run([sys.executable, "-c", _CODE], env=changed, capture_output=True, text=True, check=True).stdout
     assert json.loads(out.splitlines()[-1]) == here
 
@@ -68,8 +74,11 @@ def test_a_digest_changes_with_one_bit(monkeypatch: pytest.MonkeyPatch, here: di
     assert parts["inverse kinematics"] == here["inverse kinematics"]
 
 
-def test_other_versions_are_named() -> None:
-    now = portability.versions()
-    assert portability.compare_versions(now, now) == ()
-    (line,) = portability.compare_versions({**now, "mujoco": "3.10.0"}, now)
-    assert line == f"mujoco 3.10.0 then, {now['mujoco']} now"
+def test_old_digests_name_the_architecture_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = json.loads(portability.PACKAGED.read_text())
+    content["versions"] = {name: value for name, value in content["versions"].items() if name != "cpu"}
+    content["versions"]["machine"] = "riscv64"
+    (tmp_path / "digests.json").write_text(json.dumps(content))
+    monkeypatch.setattr(portability, "PACKAGED", tmp_path / "digests.json")
+    assert portability.packaged()["versions"]["cpu"] == "riscv64 with FMA"
+    assert any(line.startswith("cpu riscv64 with FMA then") for line in portability.differing_versions())

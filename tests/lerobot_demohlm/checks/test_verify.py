@@ -14,7 +14,7 @@ import pytest
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm import cli
 from lerobot_demohlm.checks import verify
-from lerobot_demohlm.datasets import facts, reader
+from lerobot_demohlm.datasets import facts, origin, reader
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun, failures_root
 from lerobot_demohlm.reproducibility import fingerprint
@@ -123,7 +123,7 @@ def test_another_simulation_is_found_by_its_fingerprint(
     said = json.loads(lines[-1])
     assert not said["identical"]
     assert said["differences"][0] | {"detail": ""} == {
-        "episode": 0, "attempt": 0, "step": STEP, "field": field, "detail": "",
+        "episode": 0, "attempt": 0, "step": STEP, "field": field, "detail": "", "deviation": None,
     }  # fmt: skip
 
 
@@ -142,21 +142,47 @@ def test_the_digest_counts_beside_the_fingerprints(copy: Path) -> None:
     assert difference.field == "digest"
 
 
-def test_another_installation_is_said_first(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def change(rows: list[list[float]]) -> None:
-        rows[0][0] = 0.25
-
-    flip(copy, DATA, "action", change)
-    kept = json.loads((copy / facts.FACTS_PATH).read_text())
+def say_other_versions(root: Path) -> None:
+    """Let a dataset be of another version of MuJoCo, with another model, and older than the record of eigenpy."""
+    kept = json.loads((root / facts.FACTS_PATH).read_text())
     kept["model_hash"] = "0" * 64
     kept["versions"]["mujoco"] = "2.0"
-    (copy / facts.FACTS_PATH).write_text(json.dumps(kept))
-    assert cli.main(["verify", "--root", str(copy)]) == 1
+    del kept["versions"]["eigenpy"]
+    (root / facts.FACTS_PATH).write_text(json.dumps(kept))
+
+
+def test_another_installation_is_a_remark_where_bits_agree(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    say_other_versions(copy)
+    assert cli.main(["verify", "--root", str(copy)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"model {'0' * 20} when generated, ")
     assert lines[1].startswith("mujoco 2.0 when generated, ")
-    assert lines[3].startswith("episode 0 (attempt 0) differs at step 0: action")
-    assert len(json.loads(lines[-1])["mismatches"]) == 2
+    assert lines[2].startswith("eigenpy unknown when generated, ")
+    assert "every bit as generated" in lines[4]
+    said = json.loads(lines[-1])
+    assert (said["identical"], len(said["mismatches"]), len(said["other_versions"])) == (True, 3, 2)
+
+
+@pytest.mark.parametrize(("change_by", "code"), [(0.02, 0), (0.5, 1)])
+def test_under_other_versions_episodes_agree_within_bounds(
+    copy: Path, change_by: float, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def change(rows: list[list[float]]) -> None:
+        for row in rows[STEP : STEP + 5]:
+            row[7] += change_by  # a joint of the left arm [rad]
+
+    flip(copy, DATA, "action", change)
+    assert not verify.verify(copy, run.TASK).agrees  # equal versions: no bit may differ
+    say_other_versions(copy)
+    assert cli.main(["verify", "--root", str(copy)]) == code
+    lines = capsys.readouterr().out.splitlines()
+    said = json.loads(lines[-1])
+    assert not said["identical"]
+    assert said["episodes_within_bounds"] == 1 - code
+    deviation = said["differences"][0]["deviation"]
+    assert (deviation["joints"] > verify.BOUNDS.joints) == bool(code)
+    assert f"0 agree in every bit, {1 - code} more within the bounds" in lines[-2]
+    assert ("differs at step" in lines[-3]) == bool(code)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +203,7 @@ def test_wrong_requests(small_run: Path, arguments: list[str], text: str, capsys
 def test_datasets_that_cannot_be_verified(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["verify", "--root", str(copy / "nowhere")]) == 2
     table = pq.read_table(copy / EPISODES)
-    pq.write_table(table.drop_columns(["fingerprints"]), copy / EPISODES)
+    pq.write_table(table.drop_columns(["fingerprints", origin.COLUMN]), copy / EPISODES)
     assert cli.main(["verify", "--root", str(copy)]) == 2
     (copy / facts.FACTS_PATH).unlink()
     assert cli.main(["verify", "--root", str(copy)]) == 2

@@ -1,17 +1,32 @@
 """``demohlm`` explains itself, and answers wrong input with one line, exit code 2 and nothing written."""
 
+import csv
+import importlib
+import importlib.util
 import json
+import logging
+import math
 import shutil
 import subprocess
 import sys
+import types
+import typing
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gym_demohlm.registry import get_task
+from gym_demohlm.wbc.evaluation.peer import PEERS
 from lerobot_demohlm import cli
+from lerobot_demohlm.cli import choices, completion, reference
+from lerobot_demohlm.cli.parsing import Flag, flags_of, parse, spelled
+from lerobot_demohlm.cli.verbs import GROUPS, VERBS, Verb
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 
+SURFACE = Path(__file__).with_name("surface.tsv")
+"""Flags and defaults of version 0.1, before tyro, which scripts of users rely on."""
+HEAVY = ("torch", "lerobot", "datasets", "pyarrow", "matplotlib", "jinja2", "rsl_rl")
 GENERATE = ["generate", "--task", "LiftBox", "--region", "R1", "--num-attempts", "1"]
 
 
@@ -28,13 +43,13 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "--help")
     assert code == 0
-    for verb in cli.VERBS:
+    for verb in VERBS:
         assert f"  {verb.name} " in out
         assert verb.help in out
 
 
-@pytest.mark.parametrize("verb", cli.VERBS, ids=lambda verb: verb.name)
-def test_every_verb_has_help(verb: cli.Verb, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.name)
+def test_every_verb_has_help(verb: Verb, capsys: pytest.CaptureFixture[str]) -> None:
     """Every module can be imported, declares its options, and its example parses."""
     code, out, _ = run(capsys, *verb.name.split(), "--help")
     assert code == 0
@@ -42,18 +57,255 @@ def test_every_verb_has_help(verb: cli.Verb, capsys: pytest.CaptureFixture[str])
     assert verb.help[1:] in " ".join(out.split())
 
 
+def options_of(verb: Verb) -> type:
+    """Return the dataclass of a verb."""
+    return importlib.import_module(verb.module).Options
+
+
+def written(value: object) -> str:
+    """Return a default as the table of the surface has it."""
+    if value is None or value is False:
+        return ""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else "inf" if value == math.inf else str(value)
+
+
+def surface() -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield verb and line of each flag of version 0.1."""
+    with SURFACE.open() as file:
+        for line in csv.DictReader(file, delimiter="\t"):
+            yield line.pop("verb"), line
+
+
+def test_help_names_the_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "--help")
+    assert code == 0
+    headings = [line[:-1] for line in out.splitlines() if line.endswith(":")]
+    assert headings == list(GROUPS)
+    assert {verb.group for verb in VERBS} == set(GROUPS)
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.name)
+def test_help_has_every_option_with_its_doc_and_default(verb: Verb, capsys: pytest.CaptureFixture[str]) -> None:
+    """What ``flags_of`` lists, for the reference and for messages, is what tyro makes of the dataclass."""
+    _, out, _ = run(capsys, *verb.words, "--help")
+    shown = " ".join(out.replace("│", " ").split())
+    for flag in flags_of(options_of(verb)):
+        assert flag.help, f"{flag.name} of {verb.name} has no attribute doc"
+        assert flag.help in shown
+        assert f"{flag.name if flag.name.startswith('-') else flag.name.upper()} " in shown
+        if flag.fallback is not None:
+            assert f"(default: {flag.fallback})" in shown
+        elif flag.required:
+            assert "(required)" in shown
+        elif flag.value:
+            assert f"(default: {written(flag.default)})" in shown
+    assert shown.count("--") >= len(list(flags_of(options_of(verb))))
+
+
+def test_every_flag_of_before_is_there() -> None:
+    """All flags of version 0.1 are spelled as they were and have the same defaults."""
+    flags = {verb.name: {flag.name: flag for flag in flags_of(options_of(verb))} for verb in VERBS}
+    count = 0
+    for verb, line in surface():
+        flag: Flag = flags[verb][line["flag"]]
+        assert "required" if flag.required else written(flag.default) == line["default"], (verb, line)
+        assert (line["values"] == "nothing") == (flag.value == ""), (verb, line)
+        assert (line["values"] == "several") == flag.several, (verb, line)
+        assert set(filter(None, line["choices"].split("|"))) <= set(flag.value.split("|")), (verb, line)
+        count += 1
+    assert count == 173
+
+
 def test_help_is_quick() -> None:
-    """Verbs are listed without the seconds that importing torch and lerobot takes."""
-    code = "import sys; from lerobot_demohlm import cli\ntry: cli.main(['--help'])\nexcept SystemExit: pass\n"
-    code += "print(sorted({'torch', 'lerobot', 'lerobot_demohlm.demonstrations.demonstration'} & set(sys.modules)))"
+    """Neither the verbs nor the options of any of them take the seconds that importing torch and lerobot takes."""
+    code = (
+        "import sys, contextlib, io\n"
+        "from lerobot_demohlm import cli\n"
+        "from lerobot_demohlm.cli.verbs import VERBS\n"
+        "with contextlib.redirect_stdout(io.StringIO()):\n"
+        "    codes = [cli.main([*words, '--help']) for words in [(), *(verb.words for verb in VERBS)]]\n"
+        f"print(codes == [0] * (1 + len(VERBS)), sorted(set({HEAVY!r}) & set(sys.modules)))"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[-1] == "[]"
+    assert out.splitlines()[-1] == "True []"
 
 
-def test_an_unknown_verb_names_the_known(capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, err = run(capsys, "fly")
+def test_choices_are_those_of_the_library() -> None:
+    from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, TABLES, VARIANTS
+    from lerobot_demohlm.policies.presets import NAMES, POLICIES
+
+    for chosen, known in (
+        (choices.Policy, POLICIES),
+        (choices.Preset, NAMES),
+        (choices.Table, TABLES),
+        (choices.Variant, tuple(VARIANTS)),
+        (choices.Peer, tuple(PEERS)),
+    ):
+        assert typing.get_args(chosen) == known
+    flags = {flag.name: flag for flag in flags_of(importlib.import_module("lerobot_demohlm.cli.reproduce").Options)}
+    assert flags["--variants"].fallback == DEFAULT_VARIANT
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("", "no verb; expected one of benchmark, "),
+        ("fly", "expected one of benchmark, "),
+        ("generat", "did you mean 'generate'?"),
+        ("benchmark reech", "did you mean 'reach'?"),
+        ("benchmark controller pear", "did you mean 'peer'?"),
+        ("train --root x --polcy act", "did you mean '--policy'?"),
+        ("train --root x --policy acd", "'acd'"),
+        ("train --root x --seed one", "--seed"),
+        ("train --root x --seed", "--seed"),
+        ("train --root x more", "more"),
+        ("train --policy act", "got no --root or --task"),
+        ("train --root x --task y", "got --root and --task"),
+        ("record --root x", "got no --task; expected --task TEXT"),
+        ("lint-task", "got no TASK"),
+        ("reproduce --table main --tasks", "no value after --tasks"),
+        ("benchmark controller --peer holosoma", "`demohlm benchmark controller peer`"),
+        ("benchmark controller --trade-off docs", "`demohlm benchmark controller trade-off`"),
+        ("--print-completion fish", "bash, zsh"),
+    ],
+)
+def test_a_wrong_call_is_one_line(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, *line.split())
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert not set("╭│╰") & set(err)
+
+
+def test_former_flags_have_become_verbs() -> None:
+    """Whatever verb a former flag names is there, and its option too."""
+    verbs = {verb.name: verb for verb in VERBS}
+    moved = {flag: target for verb in VERBS for flag, target in verb.moved.items()}
+    assert len(moved) == 7
+    for target in moved.values():
+        name, _, option = target.partition(" --")
+        assert not option or f"--{option}" in {flag.name for flag in flags_of(options_of(verbs[name]))}
+
+
+def test_values_arrive(capsys: pytest.CaptureFixture[str]) -> None:
+    verbs = {verb.name: verb for verb in VERBS}
+    words = "--table main --tasks LiftBox PushCube --sizes 100 --seeds 0 1 --budget-hours=0.5 --dry-run --num_workers 2"
+    found = parse(options_of(verbs["reproduce"]), verbs["reproduce"], words.split())
+    assert (found.tasks, found.sizes, found.seeds) == (("LiftBox", "PushCube"), (100,), (0, 1))
+    assert (found.budget_hours, found.dry_run, found.num_workers) == (0.5, True, 2)
+    assert found.root == Path("outputs/experiments")
+    said = spelled("reproduce", found, leave_out=("num_workers", "budget_hours", "dry_run"))
+    assert said == "demohlm reproduce --table main --tasks LiftBox PushCube --sizes 100 --seeds 0 1"
+    found = parse(options_of(verbs["lint-task"]), verbs["lint-task"], "LiftBox --num-still 1".split())
+    assert spelled("lint-task", found) == "demohlm lint-task LiftBox --num-still 1"
+
+
+def call(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Have ``demohlm results`` end with an error."""
+
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(importlib.import_module("lerobot_demohlm.cli.results"), "run", fail)
+
+
+def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    call(monkeypatch, KeyboardInterrupt("2 attempts are kept"))
+    assert run(capsys, "results") == (130, "", "interrupted: 2 attempts are kept\n")
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    call(monkeypatch, ModuleNotFoundError("No module named 'rsl_rl'", name="rsl_rl.runners"))
+    code, _, err = run(capsys, "results")
     assert code == 2
-    assert "generate" in err
+    assert "uv sync --extra wbc" in err
+    call(monkeypatch, ModuleNotFoundError("No module named 'elsewhere'", name="elsewhere"))
+    with pytest.raises(ModuleNotFoundError):
+        cli.main(["results"])
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("demohlm gen", {"generate"}),
+        ("demohlm generate --num-", {"--num-attempts", "--num-episodes", "--num-workers"}),
+        ("demohlm train --policy ", {"mlp", "act", "diffusion"}),
+        ("demohlm benchmark rea", {"reach"}),
+        ("demohlm benchmark --rou", {"--rounds"}),
+        ("demohlm benchmark controller tr", {"trade-off"}),
+        ("demohlm benchmark controller peer --name ", {"holosoma", "holosoma-ppo"}),
+    ],
+)
+def test_bash_completes(line: str, expected: set[str], scripts: dict[str, Path]) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("no bash on this machine")
+    words = " ".join(f"'{word}'" for word in line.split(" "))
+    code = [
+        f"source {scripts['bash']}",
+        f"COMP_WORDS=({words}) COMP_LINE='{line}'",
+        "COMP_CWORD=$((${#COMP_WORDS[@]} - 1)) COMP_POINT=${#COMP_LINE}",
+        "$(complete -p demohlm | cut -d ' ' -f 3)",  # the function that completes
+        "printf '%s\\n' \"${COMPREPLY[@]}\"",
+    ]
+    found = subprocess.run(["bash", "-c", "\n".join(code)], capture_output=True, text=True, check=True).stdout
+    assert set(found.split()) == expected
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return files with the completion scripts."""
+    folder = tmp_path_factory.mktemp("completion")
+    files = {shell: folder / shell for shell in cli.SHELLS}
+    for shell, file in files.items():
+        file.write_text(completion.script(shell))
+    return files
+
+
+def test_completion_is_printed(scripts: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--print-completion", "zsh"], ["--print-completion=zsh"]):
+        assert run(capsys, *words) == (0, scripts["zsh"].read_text() + "\n", "")
+    assert scripts["zsh"].read_text().startswith("#compdef demohlm")
+
+
+def test_the_reference_is_up_to_date(tmp_path: Path) -> None:
+    file = Path(__file__).parents[3] / "docs/cli.md"
+    assert file.read_text() == reference.reference(), "run `python -m lerobot_demohlm.cli.reference docs/cli.md`"
+    for verb in VERBS:
+        assert f"### demohlm {verb.name}\n" in file.read_text()
+    copy = tmp_path / "cli.md"
+    assert reference.main(reference.Options(path=copy, check=True)) == 1
+    assert reference.main(reference.Options(path=copy)) == 0
+    assert reference.main(reference.Options(path=copy, check=True)) == 0
+
+
+def test_a_long_warning_is_dropped_and_others_stay(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """LeRobot's own code warns, with and without torchcodec installed."""
+    from lerobot.utils import import_utils
+
+    logger = logging.getLogger(import_utils.__name__)
+    before = list(logger.filters)
+    broken = types.SimpleNamespace(
+        util=types.SimpleNamespace(find_spec=lambda name: name), import_module=lambda name: importlib.import_module("!")
+    )
+    absent = types.SimpleNamespace(util=types.SimpleNamespace(find_spec=lambda name: None))
+    try:
+        logger.filters[:] = []
+        for fake in (broken, absent):
+            monkeypatch.setattr(import_utils, "importlib", fake)
+            assert import_utils.get_safe_default_video_backend() == "pyav"
+        assert len(caplog.records) == 2
+        caplog.clear()
+        assert run(capsys, "--help")[0] == 0
+        for fake in (broken, absent):
+            monkeypatch.setattr(import_utils, "importlib", fake)
+            assert import_utils.get_safe_default_video_backend() == "pyav"
+        logger.warning("another warning")
+        assert [record.getMessage() for record in caplog.records] == ["another warning"]
+    finally:
+        logger.filters[:] = before
 
 
 @pytest.mark.parametrize(

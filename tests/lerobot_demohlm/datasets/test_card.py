@@ -10,13 +10,10 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm import cli
 from lerobot_demohlm.datasets import card, writer
-from lerobot_demohlm.reproducibility import provenance
 from tests.helpers.paths import REPOSITORY
 
 FOLDER = REPOSITORY / "dataset_cards"
-NAMES = {
-    provenance.file_name(task): name for name, task in all_tasks().items() if task.module.startswith("gym_demohlm")
-}
+NAMES = {task.slug: name for name, task in all_tasks().items() if task.module.startswith("gym_demohlm")}
 
 
 def test_every_task_has_a_ready_card() -> None:

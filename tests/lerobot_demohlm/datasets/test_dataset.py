@@ -161,7 +161,7 @@ def test_facts_and_card(tmp_path: Path) -> None:
     kept = facts.read_facts(tmp_path / "data")
     assert (kept["attempts"], kept["successes"], kept["outcomes"]["fell"]) == (10, 7, 3)
     assert kept["success_rate"] == 0.7
-    assert facts["versions"]["lerobot"].startswith("0.6")
+    assert kept["versions"]["lerobot"].startswith("0.6")
     records = facts.read_attempts(tmp_path / "data")
     assert [record["attempt"] for record in records] == list(range(10))
     assert [record["outcome"] for record in records] == [outcome_of(index) for index in range(10)]
@@ -297,7 +297,7 @@ def test_one_target_is_needed(targets: dict) -> None:
 
 def test_the_light_modules_import_neither_torch_nor_lerobot() -> None:
     code = (
-        "import sys, lerobot_demohlm.dataset, lerobot_demohlm.generation_run\n"
+        "import sys, lerobot_demohlm.datasets.facts, lerobot_demohlm.generation.run\n"
         "assert not {'torch', 'lerobot', 'datasets'} & set(sys.modules), sorted(sys.modules)"
     )
     start = time.monotonic()

@@ -143,7 +143,7 @@ def push_in_subprocess(hub: FakeHub, root: Path, home: Path, times: int = 1) -> 
     """
     code = (
         "import sys; from pathlib import Path; from gym_demohlm.errors import DemoHLMError\n"
-        "from lerobot_demohlm.push import push\n"
+        "from lerobot_demohlm.datasets.hub import push\n"
         "try:\n"
         "    for _ in range(int(sys.argv[3])): print(push(Path(sys.argv[1]), sys.argv[2]))\n"
         "except DemoHLMError as error: sys.exit(f'error: {error}')\n"

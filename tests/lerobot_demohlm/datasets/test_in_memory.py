@@ -1,5 +1,6 @@
 """Samples from memory equal LeRobot's, for each policy's time steps; other datasets stay LeRobot's own."""
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from lerobot_demohlm.benchmarks.training import samples_per_s
 from lerobot_demohlm.datasets import in_memory, writer
 from lerobot_demohlm.datasets.facts import write_facts
 from lerobot_demohlm.datasets.in_memory import STD_FLOOR, InMemoryDataset
-from lerobot_demohlm.policies.presets import POLICIES, get_preset, policy_config
+from lerobot_demohlm.policies.presets import POLICIES, get_preset, policy_config, train_config
 from tests.helpers.synthetic import make_episode, make_facts
 
 
@@ -108,12 +109,45 @@ def test_other_datasets_are_left_alone(tmp_path: Path) -> None:
 
 def test_the_plugin_installs_it_and_the_switch_keeps_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(factory, "LeRobotDataset", LeRobotDataset)
+    make = inspect.unwrap(factory.make_dataset)
+    monkeypatch.setattr(factory, "make_dataset", make)
     monkeypatch.setenv(in_memory.SWITCH, "0")
     in_memory.install()
     assert factory.LeRobotDataset is LeRobotDataset
+    assert factory.make_dataset is make
     monkeypatch.delenv(in_memory.SWITCH)
     in_memory.install()
     assert factory.LeRobotDataset is InMemoryDataset
+
+
+@pytest.mark.parametrize("eval_split", [0.0, 0.5])
+def test_a_training_on_a_held_dataset_starts_no_loading_processes(
+    eval_split: float, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(factory, "LeRobotDataset", LeRobotDataset)
+    monkeypatch.setattr(factory, "make_dataset", inspect.unwrap(factory.make_dataset))
+    caplog.set_level("INFO")
+    config = train_config(root, tmp_path / "train", "mlp", "paper", steps=10)
+    config.num_workers, config.dataset.eval_split = 4, eval_split
+    factory.make_train_eval_datasets(config)
+    assert config.num_workers == 4
+    in_memory.install()
+    in_memory.install()  # as often as anybody likes
+    dataset, _ = factory.make_train_eval_datasets(config)
+    assert isinstance(dataset, InMemoryDataset)
+    assert config.num_workers == 0
+    assert caplog.text.count("num_workers=0 instead of 4") == 1
+
+
+def test_loading_processes_of_other_datasets_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer.write_dataset(tmp_path / "data", "local/name", [make_episode(0)])
+    monkeypatch.setattr(factory, "LeRobotDataset", LeRobotDataset)
+    monkeypatch.setattr(factory, "make_dataset", inspect.unwrap(factory.make_dataset))
+    in_memory.install()
+    config = train_config(tmp_path / "data", tmp_path / "train", "mlp", "paper", steps=10)
+    config.num_workers = 4
+    factory.make_train_eval_datasets(config)
+    assert config.num_workers == 4
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ TASK = get_task("LiftBox")
 
 def test_the_figure_gives_each_segment_its_place() -> None:
     demonstration = demonstrations.load(task=TASK)
-    figure, segments = draw_timeline(demonstration), segment(demonstration)
+    figure, segments = draw_timeline(demonstration), segment(demonstration, TASK)
     bars = [
         (to_hex(bar.get_facecolor()), bar.get_x(), bar.get_x() + bar.get_width())
         for axes in figure.axes
@@ -63,13 +63,13 @@ def test_a_person_corrects_the_segments(copied: Path, tmp_path: Path, capsys: py
     assert figure.stat().st_size > 1000 and "box" in capsys.readouterr().out
     path = copied / CORRECTIONS_PATH
     again = demonstrations.load(copied)
-    assert segment(again) == segment(found)
+    assert segment(again, TASK) == segment(found, TASK)
     content = json.loads(path.read_text())
     for entry in content["segments"]:
         entry["anchor"] = "root"
     path.write_text(json.dumps(content))
     corrected = demonstrations.load(copied)
-    assert {entry.anchor for entry in segment(corrected)} == {"root"}
+    assert {entry.anchor for entry in segment(corrected, TASK)} == {"root"}
     assert corrected.recording_hash == found.recording_hash == found.content_hash
     assert corrected.content_hash != found.content_hash
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm import cli, quickstart
-from lerobot_demohlm.datasets.episode import OUTCOMES
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.policies import training
 from lerobot_demohlm.reports.films import Film, film_strip, write_video
@@ -113,3 +113,19 @@ def test_training_of_the_quickstart(tmp_path: Path) -> None:
     assert (loaded.kind, loaded.num_train_episodes) == ("chunked_mlp", 3)
     saved = json.loads((checkpoint / "train_config.json").read_text())
     assert (saved["batch_size"], saved["steps"]) == (512, 2)
+
+
+@pytest.mark.slow
+def test_the_quickstart_scores_two_regions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "quick"
+    counts = ["--num-episodes", "2", "--steps", "2", "--num-rollouts", "1", "--num-workers", "1"]
+    assert cli.main(["quickstart", "--root", str(root), *counts]) in (None, 0)
+    said = capsys.readouterr()
+    assert "Success in R1, the region of the data: " in said.err
+    assert "Success in R3, the widest region, without data of it: " in said.err
+    assert said.out.splitlines()[-1] == str(root / "report.html")
+    saved = json.loads((root / "train/checkpoints/last/pretrained_model/train_config.json").read_text())
+    assert (saved["batch_size"], saved["num_workers"]) == (quickstart.BATCH_SIZE, 0)
+    for name, region in (("rollouts.jsonl", "R1"), ("rollouts_R3.jsonl", "R3")):
+        (line,) = [json.loads(text) for text in (root / name).read_text().splitlines()]
+        assert line["region"] == region

@@ -12,7 +12,7 @@ CODE = """
 import multiprocessing, os, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from lerobot_demohlm.processes import end_with_parent
+from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 def take_long(path):
     Path(path).write_text(str(os.getpid()))
