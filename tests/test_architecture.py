@@ -17,8 +17,8 @@ ORDER = {
         "simulation", "tasks", "envs", "wbc.training", "wbc.evaluation",
     ),
     "lerobot_demohlm": (
-        "reproducibility", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation", "teleop",
-        "experiments", "reports", "quickstart", "benchmarks", "cli",
+        "reproducibility", "drawing", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation",
+        "teleop", "experiments", "reports", "quickstart", "benchmarks", "cli",
     ),
 }  # fmt: skip
 """Rooms of each package from the ground up: a module imports from rooms that come before its own, or from its own."""
