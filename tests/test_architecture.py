@@ -14,7 +14,7 @@ from tests.helpers.paths import REPOSITORY
 ORDER = {
     "gym_demohlm": (
         "errors", "jsonl", "timing", "arithmetic", "poses", "robot", "task", "control", "registry", "scene",
-        "simulation", "tasks", "envs", "wbc.training", "wbc.evaluation",
+        "simulation", "tasks", "envs", "wbc.evaluation", "wbc.training",
     ),
     "lerobot_demohlm": (
         "reproducibility", "drawing", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation",
