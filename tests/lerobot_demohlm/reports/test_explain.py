@@ -14,6 +14,7 @@ from gym_demohlm import poses
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm import cli
 from lerobot_demohlm.datasets import facts
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.block import write_block
@@ -26,16 +27,17 @@ from tests.helpers import small_run as run
 from tests.helpers.synthetic import make_episode, make_facts
 
 FAILED = run.FAILED[0]
+SETTINGS = stages.Settings(variation=PLAIN)  # of the small run
 
 
 @pytest.fixture(scope="module")
 def success() -> Trace:
-    return trace(run.TASK, demonstrations.load(task=run.TASK), run.REGION, run.SEED, run.SUCCEEDED[0])
+    return trace(run.TASK, demonstrations.load(task=run.TASK), run.REGION, run.SEED, run.SUCCEEDED[0], SETTINGS)
 
 
 @pytest.fixture(scope="module")
 def failure() -> Trace:
-    return trace(run.TASK, demonstrations.load(task=run.TASK), run.REGION, run.SEED, FAILED)
+    return trace(run.TASK, demonstrations.load(task=run.TASK), run.REGION, run.SEED, FAILED, SETTINGS)
 
 
 def test_a_trace_is_the_attempt_of_the_run(small_run: Path, success: Trace, failure: Trace) -> None:
