@@ -22,7 +22,10 @@ ORDER = {
     ),
 }  # fmt: skip
 """Rooms of each package from the ground up: a module imports from rooms that come before its own, or from its own."""
-FACADES = {"gym_demohlm", "gym_demohlm.furniture", "gym_demohlm.worlds", "gym_demohlm.wbc", "lerobot_demohlm"}
+FACADES = {
+    "gym_demohlm", "gym_demohlm.furniture", "gym_demohlm.worlds", "gym_demohlm.wbc",
+    "lerobot_demohlm", "lerobot_demohlm.registration",
+}  # fmt: skip
 """Modules that only hand on what lies in rooms, or register it by name: they may import any of them, lazily or not."""
 
 

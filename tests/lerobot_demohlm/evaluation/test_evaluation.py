@@ -111,7 +111,7 @@ def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(restless: Path) -
         assert (record.policy, record.num_train_episodes, record.train_seed) == ("chunked_mlp", None, None)
     env.close()
     assert batched[0].initial_state != batched[1].initial_state
-    assert json.loads(json.dumps(batched)) == batched
+    assert [jsonl.parse(Rollout, json.loads(jsonl.encode(asdict(rollout))), "") for rollout in batched] == batched
 
 
 def test_observer_sees_every_step(checkpoint: Path) -> None:

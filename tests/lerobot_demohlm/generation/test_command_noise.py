@@ -18,10 +18,10 @@ from lerobot_demohlm import cli
 from lerobot_demohlm.checks import verify
 from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.episode import Episode
-from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.facts import GenerationFacts, read_facts
 from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
-from lerobot_demohlm.generation import command_noise, runner, stages
+from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.attempt import Attempt, Attempts, initial_state
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.command_noise import DEVIATIONS, LARGEST, LONGEST, SHARES, SHORTEST, bursts, disturbed
@@ -138,7 +138,7 @@ def test_a_noisy_dataset_is_verified_and_explained(root: Path, episodes: list[Ep
         np.testing.assert_array_equal(entry.columns["action"], episode.action)
         np.testing.assert_array_equal(entry.commands, episode.commands)
     assert verify.verify(root, TASK).identical
-    assert episode.read_facts(root)["command_noise"] == SCALE
+    assert read_facts(root)["command_noise"] == SCALE
     assert "| Command noise | 1.0:" in (root / "README.md").read_text()
     page, said = explain_attempt(root, 1, pictures=False)
     assert said["same_bits"]
@@ -189,11 +189,11 @@ def test_the_facts_of_a_run_say_how_its_data_is_varied(tmp_path: Path) -> None:
 def test_the_defaults_have_one_source(monkeypatch: pytest.MonkeyPatch) -> None:
     """A request, settings, the command and the gallery take the same data where nobody says otherwise."""
     asked: list[GenerationRequest] = []
-    monkeypatch.setattr(runner, "generate", lambda request: asked.append(request))
-    monkeypatch.setattr(runner, "summary_json", lambda _: {})
+    monkeypatch.setattr("lerobot_demohlm.cli.generate.generate", asked.append)
+    monkeypatch.setattr("lerobot_demohlm.cli.generate.summary_json", lambda _: {})
     assert cli.main(["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", "data"]) == 0
     wanted = GenerationRequest(task="LiftBox", region="R3", seed=0, root=Path("data"), num_attempts=1)
-    assert asked == [wanted]
+    assert [dataclasses.asdict(request) for request in asked] == [dataclasses.asdict(wanted)]
     assert wanted.variation == Settings().variation == DataVariation()
     required = {entry.name for entry in dataclasses.fields(GenerationFacts) if entry.default is dataclasses.MISSING}
     assert required >= {"block_size", "keep_failures", "num_attempts", "num_episodes", "variation"}

@@ -82,7 +82,7 @@ def test_page_carries_everything(tmp_path: Path) -> None:
     assert "Lift &lt;the&gt; box." in page
     assert len(re.findall(r"<title>seed \d: success</title>", page)) == 8
     assert len(re.findall(r"<title>seed \d: dropped</title>", page)) == 2
-    assert not re.search(r'(src|href)="(?!data:)', page)  # nothing is fetched
+    assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing is fetched
     embedded = re.search(r"data:video/mp4;base64,([^\"]+)", page)
     assert embedded is not None
     assert base64.b64decode(embedded[1]) == video.read_bytes()

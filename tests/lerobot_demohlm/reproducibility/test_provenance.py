@@ -29,7 +29,7 @@ def test_this_machine() -> None:
     now = provenance.bit_versions()
     assert now["cpu"] == provenance.cpu_family()
     assert now["cpu"].startswith(platform.machine())
-    assert now.keys() == {"mujoco", "numpy", "placo", "eigenpy", "libc", "cpu"}
+    assert now.keys() == {"mujoco", "numpy", "numba", "placo", "eigenpy", "libc", "cpu"}
     assert now.items() <= installed_versions().items()
     assert provenance.bit_differences(installed_versions()) == ()
 
