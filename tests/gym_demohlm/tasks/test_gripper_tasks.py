@@ -107,8 +107,12 @@ def test_success_is_not_given_for_things_moved_without_hands(task: object, body:
     """A door or a cart that moves by itself, with nobody's hand on it, is no success."""
     sim = Simulation(task, controller=HoldController(1))  # pyright: ignore[reportArgumentType]
     before = sim.pose(body)[0, :3, 3]
-    joint = "door_hinge" if body == "handle" else "cart"
-    sim.set_joint(joint, sim.joint_position(joint) + 0.9)
+    if body == "handle":
+        sim.set_joint("door_hinge", sim.joint_position("door_hinge") + 0.9)
+    else:
+        T_world_cart = sim.pose("cart")[0]
+        T_world_cart[0, 3] += 0.9
+        sim.set_pose("cart", T_world_cart)
     assert np.linalg.norm(sim.pose(body)[0, :3, 3] - before) > 0.3
     assert not sim.success()[0]
     sim.close()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -29,15 +30,19 @@ def test_friction_reaches_soles_and_floor() -> None:
 def test_delay_hands_out_the_targets_of_the_tick_before() -> None:
     rng = np.random.default_rng(0)
     prompt, late = trial_simulation(2).controller, DelayedController(2, delay_ticks=1)
-    quat, still = np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 3))
+
+    def sensed(q: np.ndarray) -> Proprioception:
+        upright = np.tile([1.0, 0, 0, 0], (2, 1))
+        return Proprioception(quat_wxyz=upright, gyro=np.zeros((2, 3)), q=q, dq=0 * q)
+
     commands = np.tile(command.rest(), (2, 1))
     before = np.tile(g1.HOME, (2, 1))
     for controller in (prompt, late):
-        controller.reset(np.arange(2), quat, still, before, 0 * before)
+        controller.reset(np.arange(2), sensed(before))
     for _ in range(3):
         q = g1.HOME + rng.normal(0, 0.05, (2, 29))
-        assert np.array_equal(late.step(quat, still, q, 0 * q, commands), before)
-        before = prompt.step(quat, still, q, 0 * q, commands)
+        assert np.array_equal(late.step(sensed(q), commands), before)
+        before = prompt.step(sensed(q), commands)
 
 
 def test_a_finer_timestep_takes_more_steps_for_the_same_time() -> None:
