@@ -211,9 +211,14 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
             :2
         ]  # the pelvis must move so that the sole rests
         down = attitude.inv().apply([0.0, 0.0, -1.0])
-        found, tilt, height = odometry.estimate(down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18])
+        found, tilt, height, over_soles = odometry.estimate(
+            down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18]
+        )
         assert height[0] == pytest.approx(data.qpos[2] - data.site("left_sole").xpos[2], abs=1e-9)
         np.testing.assert_allclose(found[0], expected, atol=1e-3)
+        middle = np.mean([data.site(f"{side}_sole").xpos for side in g1.SIDES], axis=0)
+        expected = Rotation.from_euler("z", -yaw).apply(data.qpos[:3] - middle)
+        np.testing.assert_allclose(over_soles[0], expected[:2], atol=1e-9)
         normal = data.site("left_sole").xmat.reshape(3, 3)[2, 2]
         assert tilt[0] == pytest.approx(np.arccos(normal), abs=1e-6)
 
@@ -224,7 +229,7 @@ def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
-    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool), np.zeros((7, 2)), np.zeros((7, 2)))
+    targets = pose(commands, reference.at_rest(7), np.zeros((7, 2)), np.zeros((7, 2)))
     hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)
@@ -245,8 +250,8 @@ def test_aiming_further_by_the_sag_holds_the_height() -> None:
             mdp.reference.sag = lambda command, *_: np.zeros((len(command), reference.NUM_LOWER))  # type: ignore[method-assign]
         for _ in range(20):
             mdp.step(np.zeros((16, features.ACTION_SIZE)))
-        rests = mdp.standing
-        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.commands.current[rests, 3]).mean()
+        rests = mdp.now.clock.standing
+        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.now.slewed[rests, 3]).mean()
     assert errors["targets"] < 0.006
     assert errors["targets"] < 0.5 * errors["pose"]
 

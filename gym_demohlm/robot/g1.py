@@ -1,7 +1,9 @@
 """The MJCF of the Unitree G1 that mjlab ships -> an MjSpec with motors, point feet, palms, neck and sensors.
 
-Motor data (rotor inertia, gears, torque and speed limits) are Unitree's, as published by mjlab; joint armature follows
-from them as the rotor inertia seen through the gears. Joint names have no ``_joint`` suffix outside the MJCF.
+Motor data (rotor inertia, gears, torque limits) are Unitree's, as published by mjlab; joint armature follows from them
+as the rotor inertia seen through the gears. Dry friction is the static one in Unitree's unitree_rl_lab
+(``unitree_actuators.py``: 1.6 Nm for an N7520-14.3, 2.4 for an N7520-22.5, 0.6 for an N5020-16 and a W4010-25).
+Joint names have no ``_joint`` suffix outside the MJCF.
 """
 
 import importlib.util
@@ -58,12 +60,14 @@ class Motor:
         torque_limit: [Nm].
         stiffness: Position gain of the joint PD [Nm/rad].
         damping: Velocity gain of the joint PD [Nms/rad].
+        dry_friction: Torque that it takes to start turning it [Nm].
     """
 
     armature: float
     torque_limit: float
     stiffness: float
     damping: float
+    dry_friction: float
 
 
 _A5020 = _planetary_inertia((0.139e-4, 0.017e-4, 0.169e-4), (1, 1 + 46 / 18, 1 + 56 / 16))
@@ -74,16 +78,28 @@ _A4010 = _planetary_inertia((0.068e-4, 0.0, 0.0), (1, 5, 5))
 # Gains: stiff enough that the reference pose under gravity sags by less than 0.1 rad, damped to 0.3-1 of critical
 # for the inertia of the links they move. Ankles and the lower waist are driven by two 5020 motors side by side.
 _MOTORS: tuple[tuple[str, Motor], ...] = (
-    (r"hip_(pitch|yaw)$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=150.0, damping=4.0)),
-    (r"hip_roll$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=150.0, damping=4.0)),
-    (r"knee$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=200.0, damping=5.0)),
-    (r"ankle_(pitch|roll)$", Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=40.0, damping=2.0)),
-    (r"waist_yaw$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=250.0, damping=5.0)),
-    (r"waist_(roll|pitch)$", Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=250.0, damping=5.0)),
-    (r"shoulder_(pitch|roll)$", Motor(armature=_A5020, torque_limit=25.0, stiffness=200.0, damping=4.0)),
-    (r"(shoulder_yaw|elbow)$", Motor(armature=_A5020, torque_limit=25.0, stiffness=150.0, damping=3.0)),
-    (r"wrist_roll$", Motor(armature=_A5020, torque_limit=25.0, stiffness=60.0, damping=1.5)),
-    (r"wrist_(pitch|yaw)$", Motor(armature=_A4010, torque_limit=5.0, stiffness=60.0, damping=1.5)),
+    (r"hip_(pitch|yaw)$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=150.0, damping=4.0, dry_friction=1.6)),
+    (r"hip_roll$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=150.0, damping=4.0, dry_friction=2.4)),
+    (r"knee$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=200.0, damping=5.0, dry_friction=2.4)),
+    (
+        r"ankle_(pitch|roll)$",
+        Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=40.0, damping=2.0, dry_friction=1.2),
+    ),
+    (r"waist_yaw$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=250.0, damping=5.0, dry_friction=1.6)),
+    (
+        r"waist_(roll|pitch)$",
+        Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=250.0, damping=5.0, dry_friction=1.2),
+    ),
+    (
+        r"shoulder_(pitch|roll)$",
+        Motor(armature=_A5020, torque_limit=25.0, stiffness=200.0, damping=4.0, dry_friction=0.6),
+    ),
+    (
+        r"(shoulder_yaw|elbow)$",
+        Motor(armature=_A5020, torque_limit=25.0, stiffness=150.0, damping=3.0, dry_friction=0.6),
+    ),
+    (r"wrist_roll$", Motor(armature=_A5020, torque_limit=25.0, stiffness=60.0, damping=1.5, dry_friction=0.6)),
+    (r"wrist_(pitch|yaw)$", Motor(armature=_A4010, torque_limit=5.0, stiffness=60.0, damping=1.5, dry_friction=0.6)),
 )
 
 

@@ -8,6 +8,7 @@ With ``--device cuda`` one process steps many more worlds and learns from them o
 import argparse
 import json
 import os
+import shutil
 import signal
 import tempfile
 import time
@@ -21,14 +22,19 @@ import torch.distributed as dist
 from rsl_rl.runners import OnPolicyRunner
 from torch.multiprocessing.spawn import ProcessContext, start_processes
 
+from gym_demohlm.control import features
+from gym_demohlm.control.settings import Gait, Settings
 from gym_demohlm.errors import SceneError
-from gym_demohlm.wbc.export import export_weights
+from gym_demohlm.wbc import rewards
+from gym_demohlm.wbc.export import export_weights, import_weights
 from gym_demohlm.wbc.mirror_model import MirrorModel
 from gym_demohlm.wbc.train_config import TrainConfig, cpu_config, cuda_config, ppo_config
 from gym_demohlm.wbc.vec_env import MdpVecEnv
 
 _SMALLEST_LOG_NOISE = -2.5
 _POLISHING_NOISE = 0.12
+_QUIET_JOINTS = np.array([0.5 if "hip_yaw" in joint else 1.0 for joint in features.DRIVEN_JOINTS])  # share of the noise
+_CRITIC_RATE = 1e-3  # learning rate of a critic that begins after the actor
 
 
 @dataclass
@@ -94,9 +100,12 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         saved = torch.load(output / "checkpoint.pt", weights_only=True, map_location=config.device)
         runner.alg.load(saved, None, True)
         progress = Progress(**saved["progress"])
-    elif meeting:
-        runner.alg.broadcast_parameters()
-    if not config.curriculum:
+    else:
+        if config.warm_start is not None:
+            import_weights(runner.alg.get_policy(), config.warm_start)
+        if meeting:
+            runner.alg.broadcast_parameters()
+    if not config.curriculum or config.warm_start is not None:
         progress.level = progress.push_level = 1.0
     env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
     runner.alg.train_mode()
@@ -109,7 +118,10 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
     end = time.monotonic() + 3600 * hours
     most_steps = config.max_steps or np.inf
     while not _any(bool(stopping) or time.monotonic() > end) and progress.steps < most_steps:
+        _warm_up(runner, config, progress.iteration)
         statistics = _iterate(runner, env, config)
+        if config.warm_start is not None and progress.iteration == 0:
+            _set_value(runner, statistics["reward"])
         progress.iteration += 1
         progress.steps += config.steps_per_iteration * env.num_envs * config.num_processes
         progress.seconds = time.monotonic() - start
@@ -126,6 +138,28 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         _save(runner, env, output, progress, config)
     if meeting:
         dist.destroy_process_group()
+
+
+def _warm_up(runner: OnPolicyRunner, config: TrainConfig, iteration: int) -> None:
+    """Let the critic alone learn, quickly, in the first iterations after a warm start."""
+    if config.warm_start is None or iteration > config.warm_up:
+        return
+    critic_alone = iteration < config.warm_up
+    runner.alg.get_policy().requires_grad_(not critic_alone)
+    rate = _CRITIC_RATE if critic_alone else config.warm_rate
+    runner.alg.learning_rate = rate
+    for group in runner.alg.optimizer.param_groups:
+        group["lr"] = rate  # whatever the bounds of the adaptive one
+
+
+def _set_value(runner: OnPolicyRunner, reward: float) -> None:
+    """Let a fresh critic begin at the value of a reward that goes on for ever, which it is slow to climb to."""
+    mean = torch.tensor(reward)
+    if dist.is_initialized():
+        dist.all_reduce(mean)
+        mean /= dist.get_world_size()
+    with torch.no_grad():
+        cast(Any, runner.alg.critic).mlp[-1].bias.fill_(float(mean) / (1 - runner.alg.gamma))
 
 
 def _any(flag: bool) -> bool:
@@ -168,7 +202,8 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dic
     with torch.inference_mode():
         for model in (runner.alg.actor, runner.alg.critic):
             cast(MirrorModel, model).renew_normalization()
-        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE, np.log(config.largest_noise))
+        largest = torch.from_numpy(np.log(config.largest_noise * _QUIET_JOINTS)).to(_log_noise(runner))
+        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE).clamp_(max=largest)
     tracking = {f"error/{name}": value for name, value in env.mdp.tracking.items()}
     terms = {f"reward/{name}": value for name, value in env.mdp.terms.items()}
     return {
@@ -223,7 +258,10 @@ def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progre
     torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
     partial.replace(output / "checkpoint.pt")
     facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
-    export_weights(runner.alg.get_policy(), env.mdp.reference, output / "weights.npz", facts)
+    settings = config.mdp.settings
+    export_weights(runner.alg.get_policy(), env.mdp.reference, settings, output / "weights.npz", facts)
+    if progress.iteration % config.keep_every == 0:
+        shutil.copy(output / "weights.npz", output / f"weights_{progress.steps}.npz")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -235,9 +273,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-processes", type=int, help="cpu: processes, one a core, that share 512 worlds (2)")
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     parser.add_argument("--polish", action="store_true", help="learn slowly, exploring little: the last part of a run")
+    parser.add_argument("--warm-start", type=Path, help="exported weights to go on from; the critic begins afresh")
+    parser.add_argument("--warm-up", type=int, default=TrainConfig.warm_up, help="iterations of that critic alone")
+    parser.add_argument("--gait", type=Path, help="JSON file of gait settings, see gym_demohlm.control.settings.Gait")
+    parser.add_argument(
+        "--reward",
+        type=rewards.parse,
+        action="append",
+        default=[],
+        metavar="NAME=WEIGHT",
+        help="another weight of a term of the reward, see gym_demohlm.wbc.rewards; may be given again",
+    )
     parser.add_argument("--max-steps", type=int, help="control steps of the whole run after which it ends")
     parser.add_argument("--evaluate-every", type=int, default=TrainConfig.evaluate_every, help="iterations")
     parser.add_argument("--without", choices=("symmetry", "reference", "curriculum"), help="to see what it is worth")
+
+
+def _read_gait(path: Path | None) -> Gait:
+    """Return the gait in a JSON file, the default one without."""
+    return Settings.read({"gait": json.loads(path.read_text())}).gait if path else Gait()
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -246,10 +300,17 @@ def main(arguments: argparse.Namespace) -> None:
     processes = arguments.num_processes or config.num_processes
     config = replace(
         config,
-        mdp=replace(config.mdp, use_reference=arguments.without != "reference"),
+        mdp=replace(
+            config.mdp,
+            use_reference=arguments.without != "reference",
+            gait=_read_gait(arguments.gait),
+            reward_table=rewards.with_weights(dict(arguments.reward)),
+        ),
         num_processes=processes,
         polish=arguments.polish,
-        largest_noise=_POLISHING_NOISE if arguments.polish else config.largest_noise,
+        largest_noise=_POLISHING_NOISE if arguments.polish or arguments.warm_start else config.largest_noise,
+        warm_start=arguments.warm_start,
+        warm_up=arguments.warm_up,
         symmetric=arguments.without != "symmetry",
         curriculum=arguments.without != "curriculum",
         evaluate_every=arguments.evaluate_every,
