@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.errors import UnknownNameError
 
 # Strokes in units of a letter's width and height: x0, z0, x1, z1 from its lower left corner.
@@ -34,7 +35,7 @@ def write(word: str, letter_size: tuple[float, float], pitch: float, piece_lengt
         left = (index - (len(word) - 1) / 2) * pitch - letter_size[0] / 2
         for x0, z0, x1, z1 in _STROKES[letter]:
             ends = np.array([[x0, z0 - 0.5], [x1, z1 - 0.5]]) * letter_size + [left, 0.0]
-            cuts = math.ceil(float(np.linalg.norm(ends[1] - ends[0])) / piece_length)
+            cuts = math.ceil(float(norm(ends[1] - ends[0])) / piece_length)
             shares = np.linspace(0.0, 1.0, cuts + 1)[:, None]
             points = (1.0 - shares) * ends[0] + shares * ends[1]
             pieces.append(np.concatenate([points[:-1], points[1:]], axis=1))

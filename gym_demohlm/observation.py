@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import arctan2
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
@@ -106,7 +107,7 @@ def nearest_equivalent(T_world_object: np.ndarray, entry: ObjectSpec, T_world_ca
     along_x = (T_world_object[:, :2, 0] * forward).sum(axis=1)
     along_y = (T_world_object[:, :2, 1] * forward).sum(axis=1)
     if entry.symmetry == "any":
-        turn = np.arctan2(along_y, along_x)
+        turn = arctan2(along_y, along_x)
     else:
         turns = np.array(entry.symmetry)
         towards = along_x[:, None] * np.cos(turns) + along_y[:, None] * np.sin(turns)

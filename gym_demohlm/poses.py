@@ -7,6 +7,8 @@ A pose ``T_a_b`` of frame b in frame a is a float64 array (..., 4, 4); leading d
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gym_demohlm.arithmetic import arctan2, hypot
+
 _TINY = 1e-12  # below this angle [rad] or length, a limit replaces a quotient
 
 
@@ -80,7 +82,7 @@ def planar(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> np.ndarray:
 def yaw(T: ArrayLike) -> np.ndarray:
     """Return the heading (...) [rad] in (-pi, pi]: the angle of the frame's x axis seen from above."""
     T = np.asarray(T, dtype=np.float64)
-    return np.arctan2(T[..., 1, 0], T[..., 0, 0])
+    return arctan2(T[..., 1, 0], T[..., 0, 0])
 
 
 def heading(T: ArrayLike) -> np.ndarray:
@@ -105,9 +107,9 @@ def wrap_angle(angle: ArrayLike) -> np.ndarray:
 def rpy(R: ArrayLike) -> np.ndarray:
     """Return roll, pitch, yaw (..., 3) [rad] with ``R = Rz(yaw) @ Ry(pitch) @ Rx(roll)``."""
     R = np.asarray(R, dtype=np.float64)
-    roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
-    pitch = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 2, 1], R[..., 2, 2]))
-    return np.stack([roll, pitch, np.arctan2(R[..., 1, 0], R[..., 0, 0])], axis=-1)
+    roll = arctan2(R[..., 2, 1], R[..., 2, 2])
+    pitch = arctan2(-R[..., 2, 0], hypot(R[..., 2, 1], R[..., 2, 2]))
+    return np.stack([roll, pitch, arctan2(R[..., 1, 0], R[..., 0, 0])], axis=-1)
 
 
 def rotation_from_rpy(angles: ArrayLike) -> np.ndarray:
@@ -128,7 +130,7 @@ def rotation_vector(R: ArrayLike) -> np.ndarray:
     quat_wxyz = matrix_to_quat(R)
     vector = quat_wxyz[..., 1:]
     sine = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, quat_wxyz[..., :1])
+    angle = 2.0 * arctan2(sine, quat_wxyz[..., :1])
     return vector * np.where(sine > _TINY, angle / np.maximum(sine, _TINY), 2.0)
 
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.furniture import add_picture
 from gym_demohlm.robot import g1, neck
@@ -371,9 +372,9 @@ def _yaw_quat(yaw: float) -> tuple[float, float, float, float]:
 
 def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the quaternion wxyz of a camera (x right, y up, looking along -z) at eye that looks at target."""
-    back = (eye - target) / np.linalg.norm(eye - target)
+    back = (eye - target) / norm(eye - target)
     right = np.cross([0, 0, 1], back)
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).flatten())
     return quat

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.control import command, reference
 
 
@@ -168,7 +169,7 @@ def walk_velocity(
     """
     ahead = poses.planar(*goal)[:2, 0]
     offset = goal[:2] - here[:2]
-    sideways = abs(float(offset @ np.array([-ahead[1], ahead[0]])))
+    sideways = abs(float(dot(offset, np.array([-ahead[1], ahead[0]]))))
     turn = float(poses.wrap_angle(goal[2] - here[2]))
     hold = settings.standoff * max(0.0, sideways - settings.free_error)
     hold += settings.standoff_yaw * max(0.0, abs(turn) - 0.1)
@@ -193,7 +194,7 @@ def _integrate(
 
 def _errors(here: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
     offset = goal - here
-    return float(np.hypot(offset[0], offset[1])), float(poses.wrap_angle(offset[2]))
+    return float(norm(offset[:2])), float(poses.wrap_angle(offset[2]))
 
 
 def _with_velocity(velocity: np.ndarray) -> np.ndarray:

@@ -1,12 +1,9 @@
 """Simulation -> what its results depend on: hashes of controller and compiled model, family of processors."""
 
-import ast
 import functools
 import hashlib
-import inspect
 import platform
 import re
-import sys
 from pathlib import Path
 
 import mujoco
@@ -29,20 +26,6 @@ def model_hash(model: mujoco.MjModel) -> str:
     buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return hashlib.sha256(buffer.tobytes()).hexdigest()
-
-
-def task_hash(task: Task) -> str:
-    """Return the SHA-256 of a task's module without its comments and docstrings; of nothing where no file has it."""
-    try:
-        tree = ast.parse(inspect.getsource(sys.modules[task.module]))
-    except (KeyError, OSError, TypeError):
-        return hashlib.sha256().hexdigest()
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            kept = [each for each in body if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))]
-            node.body = kept or [ast.Pass()]  # pyright: ignore[reportAttributeAccessIssue]
-    return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
 
 
 @functools.cache

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
@@ -171,8 +172,8 @@ def _cut_at_rest(
         if entry.kind == "object" and taken:
             assert entry.object is not None  # object segments have one
             T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
-            distance = np.linalg.norm(T[:, :3, 3] - T[-1, :3, 3], axis=-1)
-            angle = np.linalg.norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T), axis=-1)
+            distance = norm(T[:, :3, 3] - T[-1, :3, 3])
+            angle = norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T))
             moving = np.flatnonzero((distance > REST_M) | (angle > REST_RAD))
             rest = int(moving[-1]) + 1 if len(moving) else entry.start
             if max(taken) < rest <= entry.stop - MIN_REST_TICKS:

@@ -1,7 +1,6 @@
 """Experiments: the order of the cells, running and resuming them."""
 
 import dataclasses
-import importlib
 import json
 import os
 import time
@@ -16,7 +15,8 @@ from synthetic import make_episode, make_facts
 
 from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
 from gym_demohlm.task import all_tasks, get_task
-from lerobot_demohlm import cli, provenance, results
+from lerobot_demohlm import cli, portability, results
+from lerobot_demohlm import demonstration as demonstrations
 from lerobot_demohlm.dataset import write_facts
 from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.cells import _alone as run_alone
@@ -145,20 +145,19 @@ def test_regions_are_of_plain_attempts_and_enough_of_them(tmp_path: Path) -> Non
     assert missing([cell], own, num_attempts=500) == []
 
 
-def test_a_stamp_is_of_what_a_tasks_module_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = '"""A task."""\n\ndef build():\n    """Build it."""\n    return 1  # %s\n'
-    hashes = []
-    for name, content in (("one", text % "a"), ("two", text % "b"), ("three", text.replace("1", "2"))):
-        (tmp_path / f"task_{name}.py").write_text(content)
-        monkeypatch.syspath_prepend(tmp_path)
-        module = importlib.import_module(f"task_{name}")
-        hashes.append(provenance.task_hash(dataclasses.replace(get_task("LiftBox"), build=module.build)))
-    assert hashes[0] == hashes[1] != hashes[2], "comments are no change, numbers are"
-    before = stamp("LiftBox")
-    stamp.cache_clear()
-    monkeypatch.setattr(provenance, "task_hash", lambda _: "another")
-    assert stamp("LiftBox") != before
-    stamp.cache_clear()
+def test_a_stamp_is_of_what_generation_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = portability.packaged()
+    assert stamp("LiftBox") == known["tasks"]["LiftBox"][:8]
+    unknown = {**known, "tasks": {}}
+    monkeypatch.setattr(portability, "packaged", lambda: unknown)
+    task = get_task("PressCube")
+    found = portability.stamp(task)
+    assert found == portability.behaviour(task)[:8]
+    harder = dataclasses.replace(task, name="HarderPress", success=lambda sim: task.success(sim) & False)
+    monkeypatch.setattr(portability, "get_task", {"HarderPress": harder}.__getitem__)
+    recorded = demonstrations.load(None, task)
+    monkeypatch.setattr(portability.demonstrations, "load", lambda *_: recorded)
+    assert portability.stamp(harder) != found, "another condition of success is another behaviour"
 
 
 def test_a_training_has_a_place_of_its_own_by_its_steps(tmp_path: Path) -> None:

@@ -1,12 +1,14 @@
 """One tick for training and running: the same sensors, observations, references and targets, bit for bit."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from gym_demohlm.control import features, reference
+from gym_demohlm.control import command, features
 from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
-from gym_demohlm.control.tick import Tick
-from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc.mdp import MdpConfig, WholeBodyMdp
 
@@ -25,54 +27,55 @@ _GAITS = {
 
 
 class _Spied(WholeBodyController):
-    """A controller that keeps what its policy saw, and what the reference gave."""
+    """A controller that keeps what its policy saw."""
 
     seen: np.ndarray
-    pose: np.ndarray
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
         self.seen = observed
         return super()._act(observed)
 
 
+def _weights(path: Path, mdp: WholeBodyMdp, settings: Settings) -> Path:
+    """Write the packaged policy with the tables of a training and other settings."""
+    with np.load(DEFAULT_WEIGHTS) as file:
+        arrays = dict(file)
+    metadata = json.loads(arrays["metadata"].tobytes()) | settings.metadata()
+    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
+    arrays["posture_table"], arrays["arm_table"] = mdp.reference.posture_table, mdp.reference.arm_load.table
+    np.savez(path, allow_pickle=False, **arrays)
+    return path
+
+
 @pytest.mark.parametrize("gait", _GAITS.values(), ids=_GAITS.keys())
-def test_training_and_running_share_the_tick(gait: Gait) -> None:
+def test_training_and_running_share_the_tick(tmp_path: Path, gait: Gait) -> None:
     mdp = WholeBodyMdp(MdpConfig(num_worlds=_WORLDS, num_variants=4, gait=gait, push_every=(50, 80)))
     mdp.level = mdp.push_level = 1.0
     mdp.reset(np.arange(_WORLDS))
-    controller = _Spied(_WORLDS)
-    controller.settings = Settings(gait=gait, trim=UNTRIMMED)
-    body = features.OBSERVED_INDEX
-    arms = reference.NUM_LOWER + features.OBSERVED_ARM_INDEX
+    controller = _Spied(_WORLDS, _weights(tmp_path / "w.npz", mdp, Settings(gait=gait, trim=UNTRIMMED)))
+    assert controller.settings == mdp.settings
+    body, arms = features.OBSERVED_INDEX, command.ARMS.start + features.OBSERVED_ARM_INDEX
     walked = 0
     for _ in range(200):
         sensors = mdp.sensors()
         q, dq = np.zeros((2, _WORLDS, len(g1.BODY_JOINTS)))
         q[:, body], dq[:, body] = sensors.q, sensors.dq
-        commands = np.zeros((_WORLDS, 23))
-        commands[:, :7] = mdp.commands.goal
-        commands[:, 7 + arms - reference.NUM_LOWER] = mdp.commands.arms
+        commands = np.zeros((_WORLDS, command.SIZE))
+        commands[:, : command.ARMS.start], commands[:, arms] = mdp.commands.goal, mdp.commands.arms
         controller.state = mdp.memory.copy()
         targets = controller.step(sensors.quat_wxyz, sensors.gyro, q, dq, commands)
-        action = controller.state[:, features.HISTORY * features.FRAME_SIZE :][:, : features.ACTION_SIZE]
-        assert np.array_equal(mdp.now.observation(), controller.seen)
-        assert np.array_equal(_aims(mdp, 0 * action), _aims_of(controller, mdp))
+        now, action = mdp.now, controller.last_action
+        assert np.array_equal(now.observation(), controller.seen)
+        attitude_now = sensors.attitude()
+        pose = controller.reference(now.told, now.clock, now.velocity, now.arms, now.carried, attitude_now)
+        shared = mdp.reference(now.told, now.clock, now.velocity, now.arms, now.carried, now.attitude)
+        assert np.array_equal(pose, shared)
         _, _, ended = mdp.step(action)
-        assert np.array_equal(mdp._targets, targets[:, body])
+        assert np.array_equal(mdp.targets, targets[:, body])
         assert np.array_equal(mdp.memory, controller.state)
         walked += int((~mdp.now.clock.standing).sum())
         mdp.reset(np.nonzero(ended)[0])
     assert 200 < walked < 200 * _WORLDS  # some stood and some walked
-
-
-def _aims(mdp: WholeBodyMdp, action: np.ndarray) -> np.ndarray:
-    """Return what training would aim at with an action, legs and waist."""
-    return mdp._tick.targets(mdp.now, action)
-
-
-def _aims_of(controller: WholeBodyController, mdp: WholeBodyMdp) -> np.ndarray:
-    """Return what the running controller aims at in the same situation without its policy: the reference."""
-    return Tick(controller.reference, controller.settings).targets(mdp.now, np.zeros((_WORLDS, features.ACTION_SIZE)))
 
 
 def test_the_policy_sees_the_clock_that_moves_its_legs() -> None:

@@ -6,6 +6,7 @@ arm carries is linear in the products of one of these three of each joint: one t
 
 import numpy as np
 
+from gym_demohlm.arithmetic import ExactProduct
 from gym_demohlm.robot import g1
 
 NUM_JOINTS = 4  # of one arm: shoulder pitch, roll, yaw, elbow; the wrists move little mass
@@ -55,6 +56,7 @@ class ArmLoad:
 
     def __init__(self, table: np.ndarray) -> None:
         self.table = np.array(table, dtype=np.float64)
+        self._product = ExactProduct(self.table, bound=1.0)  # a product of sines and cosines is no larger
         self._at_home = self._moment(_HOME[None], np.zeros((1, 2)))[0]
 
     def __call__(self, arms: np.ndarray, carried: np.ndarray) -> np.ndarray:
@@ -70,8 +72,8 @@ class ArmLoad:
         return self._moment(arms.reshape(len(arms), 2, NUM_JOINTS), carried) - self._at_home
 
     def _moment(self, arms: np.ndarray, carried: np.ndarray) -> np.ndarray:
-        """Return the moment of both arms, (N, 2, 4) and (N, 2) -> (N, 3); one product a robot, whatever N."""
-        of_each = basis(arms * _MIRROR) @ self.table  # (N, 2, 6)
+        """Return the moment of both arms, (N, 2, 4) and (N, 2) -> (N, 3)."""
+        of_each = self._product(basis(arms * _MIRROR))  # (N, 2, 6)
         return ((of_each[..., :3] + carried[..., None] * of_each[..., 3:]) * _SIDEWAYS).sum(axis=1)
 
     def weigh(
@@ -99,7 +101,7 @@ class ArmLoad:
         factors = np.tile(values[:, :, None], (1, 1, NUM_JOINTS, 1, 1))  # (N, 2, 4, 4, 3): a row for each derivative
         for joint in range(NUM_JOINTS):
             factors[:, :, joint, joint] = slopes[:, :, joint]
-        turned = _products(factors) @ self.table  # (N, 2, 4, 6): how each joint moves moment and hand
+        turned = self._product(_products(factors))  # (N, 2, 4, 6): how each joint moves moment and hand
         weight = -GRAVITY * (down[:, None] * _SIDEWAYS)[:, :, None]  # (N, 2, 1, 3)
         own, lever = (weight * turned[..., :3]).sum(axis=3), (weight * turned[..., 3:]).sum(axis=3)
         left_over = torque * _MIRROR - own - lever * carried[..., None]

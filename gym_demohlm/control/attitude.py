@@ -6,6 +6,8 @@ the pelvis's, turned upright.
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arcsin, arctan2, hypot
+
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
 _WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
 _WAIST_BEND = 0.48  # rad
@@ -23,7 +25,7 @@ def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarr
     """
     ahead, left, up = np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)
     x, y = np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left
-    return np.arctan2(x, up), np.arctan2(-y, np.hypot(x, up))
+    return arctan2(x, up), arctan2(-y, hypot(x, up))
 
 
 def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +40,7 @@ def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> t
         Pitch and roll of the pelvis (N,), (N,) [rad].
     """
     waist_ahead, waist_aside = ahead - tilt, np.clip(aside, -_WAIST_ROLL, _WAIST_ROLL)
-    share = np.minimum(_WAIST_BEND / np.maximum(np.hypot(waist_ahead, waist_aside), _WAIST_BEND), 1.0)
+    share = np.minimum(_WAIST_BEND / np.maximum(hypot(waist_ahead, waist_aside), _WAIST_BEND), 1.0)
     bank = np.clip(aside - share * waist_aside, -_LARGEST_BANK, _LARGEST_BANK)
     return ahead - share * waist_ahead, bank
 
@@ -69,11 +71,11 @@ def waist_angles(
     x0, y0, z0 = -np.sin(tilt), np.sin(bank) * np.cos(tilt), np.cos(bank) * np.cos(tilt)  # up in the pelvis frame
     x1, y1 = np.cos(yaw) * x0 + np.sin(yaw) * y0, np.cos(yaw) * y0 - np.sin(yaw) * x0
     ux, uy, uz = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)  # up in the torso frame
-    length = np.maximum(np.hypot(y1, z0), 1e-6)
-    waist_roll = np.arcsin(np.clip(uy / length, -1, 1)) - np.arctan2(y1, z0)
+    length = np.maximum(hypot(y1, z0), 1e-6)
+    waist_roll = arcsin(np.clip(uy / length, -1, 1)) - arctan2(y1, z0)
     waist_roll = np.clip(waist_roll, -_WAIST_LIMIT, _WAIST_LIMIT)
     z1 = np.cos(waist_roll) * z0 - np.sin(waist_roll) * y1
-    waist_pitch = np.arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
+    waist_pitch = arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
     return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
 
 
@@ -88,4 +90,4 @@ def in_torso(v: np.ndarray, waist: np.ndarray) -> np.ndarray:
 def roll_pitch(down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return roll and pitch (N,) [rad] of the frame in which gravity points along ``down`` (N, 3)."""
     x, y, z = np.ascontiguousarray(-down.T)
-    return np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
+    return arctan2(y, z), arctan2(-x, hypot(y, z))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import dot, least_squares
 from gym_demohlm.control import reference
 from gym_demohlm.robot import g1
 
@@ -51,13 +52,15 @@ class Foresight:
         times = dt * np.arange(1 - _SAMPLES, 1)
         design = _basis(times)
         damping = np.diag([0.0] * (_DEGREE + 1) + [_RIDGE] * (2 * _HARMONICS))
-        fit = np.linalg.solve(design.T @ design + damping, design.T)  # coefficients from samples
+        padded = np.concatenate([design, np.sqrt(damping)])
+        samples = np.eye(len(padded), _SAMPLES)
+        fit = least_squares(padded, samples)  # coefficients from samples
         newest = np.eye(_SAMPLES)[-1]
         gains = np.array([1.0] * (_DEGREE + 1) + list(_GAINS) * 2)
         ahead, now = gains * _basis(np.array([horizon]))[0], _basis(np.zeros(1))[0]
-        self._expected = ahead @ fit + _CARRY * (newest - now @ fit)  # (samples,)
+        self._expected = dot(fit.T, ahead) + _CARRY * (newest - dot(fit.T, now))  # (samples,)
         trend = np.where(np.arange(len(ahead)) <= _DEGREE, ahead, 0.0)
-        self._trend = trend @ fit
+        self._trend = dot(fit.T, trend)
         self._seen: np.ndarray | None = None  # (samples, 9): position, roll, pitch, yaw, waist
 
     def reset(self) -> None:
@@ -79,7 +82,7 @@ class Foresight:
             self._seen = np.tile(newest, (_SAMPLES, 1))
         self._seen = np.concatenate([self._seen[1:], newest[None]])
         change = self._seen - newest
-        expected, trend = newest + self._expected @ change, newest + self._trend @ change
+        expected, trend = newest + dot(change.T, self._expected), newest + dot(change.T, self._trend)
         joints = joint_positions.copy()
         joints[_WAIST] = expected[6:]
         return Outlook(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arctan2, hypot
 from gym_demohlm.robot.neck import NECK_LOWER, NECK_UPPER
 
 
@@ -40,6 +41,6 @@ class GazeController:
             New targets inside the joint limits, (N, 2) [rad].
         """
         x, y, z = p_camera_target[:, 0], p_camera_target[:, 1], p_camera_target[:, 2]
-        yaw_speed = np.clip(self.yaw_gain * np.arctan2(y, x), -self.max_speed, self.max_speed)
-        pitch_speed = np.clip(-self.pitch_gain * np.arctan2(z, np.hypot(x, y)), -self.max_speed, self.max_speed)
+        yaw_speed = np.clip(self.yaw_gain * arctan2(y, x), -self.max_speed, self.max_speed)
+        pitch_speed = np.clip(-self.pitch_gain * arctan2(z, hypot(x, y)), -self.max_speed, self.max_speed)
         return np.clip(neck + np.stack([yaw_speed, pitch_speed], axis=1) * dt, NECK_LOWER, NECK_UPPER)

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import arctan2
 from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik_pass import Pass
 from gym_demohlm.control.ik_settings import IKSettings
@@ -246,7 +247,7 @@ def _of_joints(pulls: dict[str, tuple[float, float]]) -> dict[str, tuple[float, 
 
 def _heading(T_world_pelvis: np.ndarray) -> np.ndarray:
     """Return the frame on the floor below the pelvis, turned with it about the vertical, (4, 4)."""
-    yaw = np.arctan2(T_world_pelvis[1, 0], T_world_pelvis[0, 0])
+    yaw = arctan2(T_world_pelvis[1, 0], T_world_pelvis[0, 0])
     T = np.eye(4)
     T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     T[:2, 3] = T_world_pelvis[:2, 3]

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import placo
 
+from gym_demohlm.arithmetic import least_squares
 from gym_demohlm.control.ik_settings import IKSettings
 
 PALMS = ("left_palm", "right_palm")
@@ -132,7 +133,7 @@ class Pass:
             rows.append(scale * jacobian)
             values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
         A, b = np.concatenate(rows), np.concatenate(values)
-        free = np.linalg.solve(A.T @ A, A.T @ b)
+        free = least_squares(A, b)
         if (free <= upper - q).all() and (free >= lower - q).all():
             return free
         problem, residual = placo.Problem(), placo.Expression()

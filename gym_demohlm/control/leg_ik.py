@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arccos, arcsin, arctan2, hypot
 from gym_demohlm.robot import g1
 
-_INCLINATION = 2 * np.arcsin(0.08733857)  # rad
+_INCLINATION = 2 * arcsin(0.08733857)  # rad
 _AHEAD, _BELOW = 0.0246, 0.0262  # m: where the roll and yaw axes meet, seen from the pitch axis
-_THIGH_FROM_THERE = np.hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
-_THIGH_ANGLE = np.arctan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
+_THIGH_FROM_THERE = hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
+_THIGH_ANGLE = arctan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
 _SIDES = np.array([1.0, -1.0])  # left, right
 _AXES = np.eye(3)[:, :, None, None]  # components of the unit vectors
 
@@ -58,9 +59,9 @@ def planar(
     """
     lower = g1.SHANK_LENGTH
     distance = np.clip(np.sqrt(forward * forward + down * down), 0.22, upper + lower - 0.004)
-    knee = np.pi - np.arccos(np.clip((upper**2 + lower**2 - distance**2) / (2 * upper * lower), -1, 1))
-    lean = np.arccos(np.clip((upper**2 + distance**2 - lower**2) / (2 * upper * distance), -1, 1))
-    thigh = -np.arctan2(forward, down) - lean
+    knee = np.pi - arccos(np.clip((upper**2 + lower**2 - distance**2) / (2 * upper * lower), -1, 1))
+    lean = arccos(np.clip((upper**2 + distance**2 - lower**2) / (2 * upper * distance), -1, 1))
+    thigh = -arctan2(forward, down) - lean
     return thigh, knee, -(thigh + knee)
 
 
@@ -84,12 +85,12 @@ def solve(ankles: Vectors, sole_yaw: np.ndarray, tilt: np.ndarray, bank: np.ndar
         return _about_y(_about_x(v, bank), tilt)
 
     hips = in_heading(Vectors(zero, zero + g1.HIP_SPREAD * _SIDES, zero - g1.HIP_DROP))
-    pitch = planar(ankles.x - hips.x, np.hypot(ankles.y - hips.y, ankles.z - hips.z))[0] - tilt
+    pitch = planar(ankles.x - hips.x, hypot(ankles.y - hips.y, ankles.z - hips.z))[0] - tilt
     further = in_heading(_about_y(Vectors(zero + _AHEAD, zero, zero - _BELOW), pitch))
     hips = Vectors(hips.x + further.x, hips.y + further.y, hips.z + further.z)
     seen = _about_z(Vectors(hips.x - ankles.x, hips.y - ankles.y, hips.z - ankles.z), -sole_yaw)  # hip from the ankle
-    ankle_roll = np.arctan2(seen.y, seen.z)
-    thigh, knee, ankle_pitch = planar(-seen.x, np.hypot(seen.y, seen.z), _THIGH_FROM_THERE)
+    ankle_roll = arctan2(seen.y, seen.z)
+    thigh, knee, ankle_pitch = planar(-seen.x, hypot(seen.y, seen.z), _THIGH_FROM_THERE)
     thigh, knee = thigh - _THIGH_ANGLE, knee + _THIGH_ANGLE
 
     def in_pelvis(v: Vectors) -> Vectors:
@@ -98,7 +99,7 @@ def solve(ankles: Vectors, sole_yaw: np.ndarray, tilt: np.ndarray, bank: np.ndar
         return _about_x(_about_y(v, -tilt), -bank)
 
     axes = in_pelvis(Vectors(*_AXES))  # (3, N, 2) components: of the first, the second, the third axis
-    hip_pitch = np.arctan2(axes.x[2], axes.z[2]) + _INCLINATION
-    hip_roll = np.arctan2(-axes.y[2], np.hypot(axes.x[2], axes.z[2]))
-    hip_yaw = np.arctan2(axes.y[0], axes.y[1])
+    hip_pitch = arctan2(axes.x[2], axes.z[2]) + _INCLINATION
+    hip_roll = arctan2(-axes.y[2], hypot(axes.x[2], axes.z[2]))
+    hip_yaw = arctan2(axes.y[0], axes.y[1])
     return np.stack([hip_pitch, hip_roll, hip_yaw, knee, ankle_pitch, ankle_roll], axis=2)

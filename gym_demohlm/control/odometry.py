@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arccos, arctan2
 from gym_demohlm.robot import g1
 
 _Vector = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -38,7 +39,7 @@ def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
     for joint in g1.LEG_JOINTS[: len(g1.LEG_JOINTS) // 2]:
         body = spec.body(f"{joint}_link")
         axis = "xyz"[int(np.argmax(np.abs(spec.joint(f"{joint}_joint").axis)))]
-        links.append((axis, np.array(body.pos), 2 * float(np.arctan2(body.quat[2], body.quat[0]))))
+        links.append((axis, np.array(body.pos), 2 * float(arctan2(body.quat[2], body.quat[0]))))
     return links, np.array([0.035, 0.0, -0.035])
 
 
@@ -106,7 +107,7 @@ def estimate(down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np
     weights = np.stack([left, 1 - left], axis=1)[..., None]  # (N, 2, 1)
     velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
     upright = (normals * up[:, None]).sum(axis=2)
-    tilt = np.arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
+    tilt = arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
     over_soles = -(heading * soles.mean(axis=1)[:, None]).sum(axis=2)
     return Estimate(velocity, tilt, -(weights[..., 0] * height).sum(axis=1), over_soles)
 

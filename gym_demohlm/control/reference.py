@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gym_demohlm.arithmetic import arcsin, arctan
 from gym_demohlm.control import attitude, features, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.control.settings import Gait, Settings
@@ -117,10 +118,11 @@ def balanced(torso: np.ndarray, height: np.ndarray) -> np.ndarray:
     """
     roll, pitch, yaw = torso[:, 1], torso[:, 2], torso[:, 3]
     # Up, for the torso, in the heading frame: (cos y tan p + sin y tan r, sin y tan p - cos y tan r, 1), about.
-    lowest = np.tan(LEAN_BACK + LEAN_BACK_SLOPE * (height - LEAN_BACK_HEIGHT))
+    furthest_back = LEAN_BACK + LEAN_BACK_SLOPE * (height - LEAN_BACK_HEIGHT)
+    lowest = np.sin(furthest_back) / np.cos(furthest_back)
     ahead, aside = np.cos(yaw), np.sin(yaw)
-    pitch = np.maximum(pitch, np.arctan((lowest - aside * np.tan(roll)) / ahead))
-    further = np.arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(pitch)) / ahead, 0.0, 1.0))
+    pitch = np.maximum(pitch, arctan((lowest - aside * (np.sin(roll) / np.cos(roll))) / ahead))
+    further = arcsin(np.clip((LEAN_ASIDE - np.abs(aside) * np.sin(pitch)) / ahead, 0.0, 1.0))
     roll = np.where(aside > 0, np.maximum(roll, -further), np.minimum(roll, further))
     return np.stack([torso[:, 0], roll, pitch, yaw], axis=1)
 

@@ -15,7 +15,8 @@ from gym_demohlm.robot import g1
 
 _LEGS, _LOWER = len(g1.LEG_JOINTS), reference.NUM_LOWER
 _HISTORY = features.HISTORY * features.FRAME_SIZE
-_SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
+LAST_ACTION = slice(_HISTORY, _HISTORY + features.ACTION_SIZE)
+_SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
 _CLOCK = _SLEWED.stop
 _VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
 _ARMS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
@@ -50,6 +51,11 @@ class Sensors:
     def frame(self) -> np.ndarray:
         """Return them as the policy sees them, (N, FRAME_SIZE)."""
         return features.frame(self.quat_wxyz, self.gyro, self.q, self.dq)
+
+    def attitude(self) -> np.ndarray:
+        """Return pitch and roll of the pelvis [rad] and their rates [rad/s], (N, 4)."""
+        roll, pitch = attitude.roll_pitch(features.gravity(self.quat_wxyz))
+        return np.stack([pitch, roll, self.gyro[:, 1], self.gyro[:, 0]], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,11 +186,10 @@ class Tick:
         correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
         told = slewed.copy()
         told[:, _TRIMMED] += correction
-        roll, pitch = attitude.roll_pitch(down)
         arm_velocity = np.clip((arms - before) / reference.CONTROL_DT, -_LARGEST_ARM_SPEED, _LARGEST_ARM_SPEED)
         return Situation(
             history=history,
-            last_action=state[:, _HISTORY : _SLEWED.start],
+            last_action=state[:, LAST_ACTION],
             slewed=slewed,
             told=told,
             clock=clock,
@@ -193,7 +198,7 @@ class Tick:
             arm_velocity=arm_velocity,
             carried=carried,
             trim=correction,
-            attitude=np.stack([pitch, roll, gyro[:, 1], gyro[:, 0]], axis=1),
+            attitude=sensors.attitude(),
             startled=startled,
         )
 

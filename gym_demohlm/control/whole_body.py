@@ -1,8 +1,7 @@
 """Proprioception and commands -> joint targets at 50 Hz: the trained whole-body controller, batched, NumPy only.
 
-A world's targets have the same bits whether it is computed alone or in a batch: NumPy's matrix product may round a row
-differently with the number of rows and with its place among them. They are padded to blocks of six worlds and their six
-mirror images: OpenBLAS's kernels for SkylakeX round all of them alike, those for Haswell and Zen each six.
+A world's targets have the same bits whether it is computed alone or in a batch, and on every processor: the network's
+products are exact (``arithmetic.ExactProduct``).
 """
 
 import hashlib
@@ -14,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import arm_load, command, features, reference
 from gym_demohlm.control.settings import Settings
-from gym_demohlm.control.tick import STATE_SIZE, Sensors, Tick
+from gym_demohlm.control.tick import LAST_ACTION, STATE_SIZE, Sensors, Tick
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
@@ -24,8 +24,8 @@ DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
 WEIGHTS_FORMAT = 5
 _FORMATS = dict(zip((4, WEIGHTS_FORMAT), features.OBSERVATION_SIZES, strict=True))
 _TABLES = (len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 5), arm_load.TABLE_SHAPE
-_BLOCK = 12  # rows
-_ONE_THREAD_PRODUCT = 262144  # multiplications
+_LARGEST_INPUT = 6.0  # deviations from the mean: what training clips observations to
+_LARGEST_HIDDEN = 64.0  # of a hidden unit: far above what occurs
 
 
 class Weights:
@@ -46,8 +46,10 @@ class Weights:
     def __init__(self, path: Path = DEFAULT_WEIGHTS) -> None:
         content, self.metadata, arrays = read_arrays(path)
         self.settings = Settings.read(self.metadata)
-        layers = int(self.metadata["layers"])
-        self.layers = [(_split(arrays[f"weight_{i}"]), arrays[f"bias_{i}"]) for i in range(layers)]
+        self.layers = [
+            (ExactProduct(arrays[f"weight_{i}"], _LARGEST_HIDDEN if i else _LARGEST_INPUT), arrays[f"bias_{i}"])
+            for i in range(int(self.metadata["layers"]))
+        ]
         self.mean, self.scale = arrays["mean"], arrays["scale"]
         self._tables = arrays["posture_table"], arrays["arm_table"]
         self.hash = hashlib.sha256(content).hexdigest()
@@ -64,7 +66,7 @@ def read_arrays(path: Path) -> tuple[bytes, dict[str, Any], dict[str, np.ndarray
         path: Of the file.
 
     Returns:
-        Its content, its metadata, and its arrays.
+        Its content, its metadata, and its arrays, float64.
 
     Raises:
         SceneError: As ``Weights``.
@@ -72,8 +74,9 @@ def read_arrays(path: Path) -> tuple[bytes, dict[str, Any], dict[str, np.ndarray
     try:
         content = path.read_bytes()
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        metadata: dict[str, Any] = json.loads(arrays.pop("metadata").tobytes())
+            text = file["metadata"].tobytes()
+            arrays = {name: file[name].astype(np.float64) for name in file.files if name != "metadata"}
+        metadata: dict[str, Any] = json.loads(text)
         found = (metadata["format"], metadata["observation_size"])
         layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(int(metadata["layers"]))]
         sizes = [len(arrays["mean"]), *(len(bias) for _, bias in layers)]
@@ -108,21 +111,6 @@ def read_arrays(path: Path) -> tuple[bytes, dict[str, Any], dict[str, np.ndarray
     return content, metadata, arrays
 
 
-def _split(weight: np.ndarray) -> list[np.ndarray]:
-    """Cut a layer into columns whose product with a block stays on one thread.
-
-    OpenBLAS shares larger products among threads that wait for one another far longer than such a product takes.
-    """
-    columns = weight.shape[1]
-    width = columns if _BLOCK * weight.size <= _ONE_THREAD_PRODUCT else 64
-    pieces = [weight[:, first : first + width] for first in range(0, columns, width)]
-    return pieces if len(pieces) == 1 else [np.ascontiguousarray(piece) for piece in pieces]
-
-
-def _elu(x: np.ndarray) -> np.ndarray:
-    return np.maximum(x, 0) + (np.exp(np.minimum(x, 0)) - 1)  # float32's exp is far quicker than its expm1
-
-
 class WholeBodyController:
     """N whole-body controllers.
 
@@ -151,6 +139,11 @@ class WholeBodyController:
     def settings(self, settings: Settings) -> None:
         self.reference.gait = settings.gait
         self._tick.settings = settings
+
+    @property
+    def last_action(self) -> np.ndarray:
+        """What the policies did in the last tick, (N, 15)."""
+        return self.state[:, LAST_ACTION].copy()
 
     def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
         """Start the controllers of some worlds anew, standing at rest.
@@ -201,24 +194,15 @@ class WholeBodyController:
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
         """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        inputs, rows, half = len(self.weights.mean), len(observed), _BLOCK // 2
-        padded = np.zeros((-(-rows // half) * half, inputs), dtype=np.float32)
-        padded[:rows] = observed[:, :inputs]
-        latent = np.clip((padded - self.weights.mean) * self.weights.scale, -6.0, 6.0)
-        mirrored = features.mirror(latent, features.first_inputs(features.OBSERVATION_MIRROR, inputs))
-        blocks = [part.reshape(-1, half, inputs) for part in (latent, mirrored)]
-        output = self._network(np.concatenate(blocks, axis=1))
-        seen, in_mirror = output[:, :half].reshape(len(padded), -1), output[:, half:].reshape(len(padded), -1)
-        return (0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR)))[:rows]
-
-    def _network(self, blocks: np.ndarray) -> np.ndarray:
-        """Apply the layers to blocks one by one, (B, 12, OBSERVATION_SIZE) -> (B, 12, 15), float32."""
-        last = len(self.weights.layers) - 1
-        for index, (pieces, bias) in enumerate(self.weights.layers):
-            blocks = np.concatenate([blocks @ piece for piece in pieces], axis=2) + bias
-            if index < last:
-                blocks = _elu(blocks)
-        return blocks
+        inputs = len(self.weights.mean)
+        latent = (observed[:, :inputs] - self.weights.mean) * self.weights.scale  # the first product clips it
+        mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+        hidden = np.concatenate([latent, features.mirror(latent, mirror)])
+        for product, bias in self.weights.layers[:-1]:
+            hidden = elu(product(hidden) + bias)
+        product, bias = self.weights.layers[-1]
+        seen, in_mirror = np.split(product(hidden) + bias, 2)
+        return 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
 
 
 def _sensors(quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> Sensors:

@@ -14,6 +14,7 @@ import math
 import mujoco
 import numpy as np
 
+from gym_demohlm.arithmetic import dot, eigh
 from gym_demohlm.robot import dynamixel, g1
 
 NECK_JOINTS = ("neck_yaw", "neck_pitch")
@@ -114,14 +115,14 @@ def _take_mass(body: mujoco.MjsBody, mass: float, position: np.ndarray) -> None:
     com = np.array(body.ipos)
 
     def spread(offset: np.ndarray) -> np.ndarray:
-        return offset @ offset * np.eye(3) - np.outer(offset, offset)
+        return dot(offset, offset) * np.eye(3) - np.outer(offset, offset)
 
     about_origin = R_body_inertia @ np.diag(body.inertia) @ R_body_inertia.T + body.mass * spread(com)
     rest = body.mass - mass
     new_com = (body.mass * com - mass * position) / rest
     inertia = about_origin - mass * spread(position) - rest * spread(new_com)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.linalg.det(axes)  # right-handed
+    moments, axes = eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))  # right-handed
     quat_wxyz = np.zeros(4)
     mujoco.mju_mat2Quat(quat_wxyz, axes.reshape(9))
     body.mass, body.ipos, body.iquat, body.inertia = rest, new_com, quat_wxyz, moments

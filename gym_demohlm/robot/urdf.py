@@ -4,6 +4,7 @@ Bodies become links of the same name, joints keep their names, and sites become 
 17 digits, so forward kinematics agree with MuJoCo's to rounding.
 """
 
+import math
 from collections.abc import Collection
 from xml.etree import ElementTree
 
@@ -126,10 +127,10 @@ def _roll_pitch_yaw(R: np.ndarray) -> np.ndarray:
 
     Yaw comes first; roll is then measured in the frame turned back by it, which is well defined at any pitch.
     """
-    yaw = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[0, 0], R[1, 0]) > 1e-9 else 0.0
+    yaw = math.atan2(R[1, 0], R[0, 0]) if math.hypot(R[0, 0], R[1, 0]) > 1e-9 else 0.0
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    pitch = np.arctan2(-R[2, 0], cosine * R[0, 0] + sine * R[1, 0])
-    roll = np.arctan2(sine * R[0, 2] - cosine * R[1, 2], cosine * R[1, 1] - sine * R[0, 1])
+    pitch = math.atan2(-R[2, 0], cosine * R[0, 0] + sine * R[1, 0])
+    roll = math.atan2(sine * R[0, 2] - cosine * R[1, 2], cosine * R[1, 1] - sine * R[0, 1])
     return np.array([roll, pitch, yaw])
 
 

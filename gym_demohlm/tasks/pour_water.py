@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.furniture import LIQUID_BIT, UNYIELDING, add_picture, add_shape, add_table, add_vessel
 from gym_demohlm.robot.g1 import WORLD_BIT
 from gym_demohlm.task import ObjectSpec, Task
@@ -61,13 +62,13 @@ def share_in_bowl(sim: "Worlds") -> np.ndarray:
     inside = []
     for name in DROPS:
         place = poses.transform(T_bowl_world, sim.pose(name)[:, :3, 3])
-        inside.append((np.hypot(place[:, 0], place[:, 1]) < BOWL_RADIUS) & (np.abs(place[:, 2]) < BOWL_HEIGHT / 2))
+        inside.append((norm(place[:, :2]) < BOWL_RADIUS) & (np.abs(place[:, 2]) < BOWL_HEIGHT / 2))
     return np.mean(inside, axis=0)
 
 
 def _poured(sim: "Worlds") -> np.ndarray:
     apart = sim.pose("bottle")[:, :2, 3] - sim.pose("bowl")[:, :2, 3]
-    return sim.holds("right", "bottle") & (np.hypot(*apart.T) < NEAR) & (share_in_bowl(sim) >= POURED)
+    return sim.holds("right", "bottle") & (norm(apart) < NEAR) & (share_in_bowl(sim) >= POURED)
 
 
 def _fell(sim: "Worlds") -> np.ndarray:

@@ -42,7 +42,7 @@ def import_weights(actor: MLPModel, path: Path) -> None:
             cast(torch.Tensor, getattr(normaliser, name)).copy_(torch.from_numpy(numbers)[None])
         cast(torch.Tensor, normaliser.count).fill_(_SEEN)
         for index, layer in enumerate(linear):
-            layer.weight.copy_(torch.from_numpy(arrays[f"weight_{index}"]).T)
+            layer.weight.copy_(torch.from_numpy(arrays[f"weight_{index}"].T))
             layer.bias.copy_(torch.from_numpy(arrays[f"bias_{index}"]))
 
 

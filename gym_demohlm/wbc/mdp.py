@@ -120,6 +120,7 @@ class WholeBodyMdp:
         push_level: Curriculum in [0, 1]: strengthens the pushes.
         now: What the policy is to act on.
         memory: (N, STATE_SIZE) what the controllers remember of the tick before, as at run time.
+        targets: (N, 23) of the servos in the tick before [rad].
     """
 
     def __init__(self, config: MdpConfig) -> None:
@@ -158,12 +159,17 @@ class WholeBodyMdp:
         self.privileged = np.zeros((n, 10))
         self._mean_error = np.zeros((n, 3))
         self._air = rewards.Air(lifted=np.zeros((n, 2), dtype=bool), speed=np.zeros((n, 2)))
-        self._delay, self._targets = np.zeros(n, dtype=int), np.zeros((n, _JOINTS))
+        self._delay, self.targets = np.zeros(n, dtype=int), np.zeros((n, _JOINTS))
         self.ticks = np.zeros(n, dtype=int)
         self.tracking: dict[str, float] = {}
         self.terms: dict[str, float] = {}
         self.now: Situation
         self.reset(np.arange(n))
+
+    @property
+    def settings(self) -> Settings:
+        """What the tick goes by: the trim is for robots that have learned."""
+        return self._tick.settings
 
     @property
     def pushed(self) -> np.ndarray:
@@ -199,7 +205,7 @@ class WholeBodyMdp:
         qpos[:, 3], qpos[:, 5] = np.cos(tilt / 2), np.sin(tilt / 2)
         joints = np.concatenate([targets, arms], axis=1)
         qpos[:, 7:] = np.clip(joints + self.rng.normal(0, 0.03, joints.shape), self._lower, self._upper)
-        self._targets[worlds] = np.clip(joints, self._lower, self._upper)
+        self.targets[worlds] = np.clip(joints, self._lower, self._upper)
         self._delay[worlds] = self.rng.integers(0, self.config.largest_delay + 1, count)
         chosen = self.rng.integers(len(self._facts), size=count)
         if self._physics.assign(worlds, chosen):
@@ -257,8 +263,8 @@ class WholeBodyMdp:
         arms = np.clip(now.arms, self._lower[-_ARMS:], self._upper[-_ARMS:])
         targets = np.concatenate([self._tick.targets(now, actions), arms], axis=1)
         late = (np.arange(SUBSTEPS) < self._delay[:, None])[..., None]
-        control = np.where(late, self._targets[:, None], targets[:, None])
-        self._targets = targets
+        control = np.where(late, self.targets[:, None], targets[:, None])
+        self.targets = targets
         self._state, sensors = self._physics.step(self._state, control)
         measured = rewards.measure(self.qpos, self.qvel, sensors, self._address, targets, self._air)
         self._air = rewards.Air.read(sensors, self._address)

@@ -10,12 +10,8 @@ from typing import Any
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.task import DEFAULT_REGION, all_tasks, get_task
-from lerobot_demohlm import demonstration as demonstrations
-from lerobot_demohlm import provenance
-from lerobot_demohlm.generation import command_noise
-from lerobot_demohlm.generation.stages import STANCE_RANGES, Settings
+from lerobot_demohlm import portability, provenance
 from lerobot_demohlm.presets import POLICIES, get_preset
-from lerobot_demohlm.segmentation import segment
 
 REGIONS = ("R1", "R2", "R3")
 FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
@@ -130,20 +126,8 @@ def _digest(*parts: object) -> str:
 
 @functools.cache
 def stamp(task: str) -> str:
-    """Return eight letters that change with the controller, with how data is generated, and with the task's module."""
-    definition = get_task(task)
-    source = demonstrations.load(None, definition)
-    return _digest(
-        provenance.controller_hash(),
-        provenance.task_hash(definition),
-        source.content_hash,
-        segment(source),
-        Settings(),
-        definition.episode_length_s,
-        command_noise.SHARES,
-        command_noise.DEVIATIONS.tolist(),
-        STANCE_RANGES.tolist(),
-    )
+    """Return eight letters that change with what generation does with a task, wherever its code stands."""
+    return portability.stamp(get_task(task))
 
 
 def plan(

@@ -7,6 +7,7 @@ alone would end short. So each walk is followed as a path, from where the base w
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.control import command
 from lerobot_demohlm.demonstration import Demonstration
 from lerobot_demohlm.generation.stages import PlaybackSettings
@@ -50,8 +51,8 @@ class BasePath:
     def remaining_velocity(self, tick: int, T_world_pelvis: np.ndarray) -> np.ndarray | None:
         """Return the velocity (3,) that makes up for what is left of a walk that ends with a tick; None if nothing."""
         error = self._error(tick, T_world_pelvis)
-        ahead = self._velocity_d[tick, :2] / max(float(np.linalg.norm(self._velocity_d[tick, :2])), 1e-9)
-        if float(ahead @ error[:2]) < self._settings.arrive_m:
+        ahead = self._velocity_d[tick, :2] / max(float(norm(self._velocity_d[tick, :2])), 1e-9)
+        if float(dot(ahead, error[:2])) < self._settings.arrive_m:
             return None
         limit = np.array(self._settings.max_path_velocity)
         return self._velocity_d[tick] + np.clip(np.array(self._settings.path_gain) * error, -limit, limit)

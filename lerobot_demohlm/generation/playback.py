@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
@@ -187,7 +188,7 @@ class Playback:
             wanted = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3] + self._detours[tick, hand]
             missed = wanted - measured[hand, :3, 3]
             shift = self._shift[hand] + self.settings.steering_gain * missed
-            self._shift[hand] = shift * min(1.0, self.settings.max_shift_m / max(float(np.linalg.norm(shift)), 1e-9))
+            self._shift[hand] = shift * min(1.0, self.settings.max_shift_m / max(float(norm(shift)), 1e-9))
             self._targets[tick, hand, :3, 3] += self._shift[hand]
 
     def _follow_base(self, tick: int) -> None:
@@ -232,12 +233,12 @@ class Playback:
         for _ in range(self.grip.settle_ticks):
             measured = self.world.hands()
             errors = {hand: position - measured[hand, :3, 3] for hand, position in wanted.items()}
-            if all(float(np.linalg.norm(error)) < self.grip.settle_m for error in errors.values()):
+            if all(float(norm(error)) < self.grip.settle_m for error in errors.values()):
                 return
             targets = self.last_targets.copy()
             for hand, error in errors.items():
                 moved = targets[hand, :3, 3] + self.grip.gain * error - planned[hand, :3, 3]
-                length = max(float(np.linalg.norm(moved)), 1e-9)
+                length = max(float(norm(moved)), 1e-9)
                 moved *= min(1.0, self.grip.max_correction_m / length)
                 targets[hand, :3, 3] = planned[hand, :3, 3] + moved
             yield self._command(targets, tick - 1)
@@ -281,7 +282,7 @@ class Playback:
             return  # hands that follow the base are led there tick by tick
         hands = [g1.SIDES.index(entry.hand) for entry in entries]
         last, path = self.last_targets[hands], self._targets[tick:, hands]
-        distance = float(np.linalg.norm((path[0] - last)[:, :3, 3], axis=-1).max())
+        distance = float(norm((path[0] - last)[:, :3, 3]).max())
         ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
         room = int(self.settings.joining_share * min(entry.stop - tick for entry in entries))
         if ticks > room:

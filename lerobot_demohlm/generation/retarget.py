@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import arctan2, dot, norm
 
 Anchor = Literal["body", "eef_heading", "eef", "root", "world", "base"]
 """Frame in which the motion after the switch is repeated: the end effector's origin with the root's heading, the whole
@@ -166,14 +167,14 @@ def _middle(T_hands: np.ndarray) -> np.ndarray:
     if T_hands.shape[-3] == 1:
         return T_hands[..., 0, :, :]
     across = (T_hands[..., 0, :3, 3] - T_hands[..., 1, :3, 3])[..., :2]
-    frame = poses.planar(0.0, 0.0, np.arctan2(-across[..., 0], across[..., 1]))
+    frame = poses.planar(0.0, 0.0, arctan2(-across[..., 0], across[..., 1]))
     frame[..., :3, 3] = T_hands[..., :3, 3].mean(axis=-2)
     return frame
 
 
 def progress(T_path: np.ndarray) -> np.ndarray:
     """Return the share (T,) of its way that a path (T, hands, 4, 4) has gone, as the furthest hand; 1 at rest."""
-    steps = np.linalg.norm(np.diff(T_path[..., :3, 3], axis=0), axis=-1)  # (T - 1, hands)
+    steps = norm(np.diff(T_path[..., :3, 3], axis=0))  # (T - 1, hands)
     gone = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
     furthest = gone[:, np.argmax(gone[-1])]
     return furthest / furthest[-1] if furthest[-1] > 0.0 else np.ones(len(T_path))
@@ -243,7 +244,7 @@ def choose_placement(
         length = walk_length(here[:2], goal[:2], T_W_O[:2, 3], clearance_m)
         cost = length + TURN_WEIGHT * abs(float(poses.wrap_angle(goal[2] - here[2])))
         motion = scene_motion(T_W_Od, T_W_O, S)
-        cost += LAYOUT_WEIGHT * sum(float(np.linalg.norm((motion @ then - now)[:2, 3])) for then, now in others)
+        cost += LAYOUT_WEIGHT * sum(float(norm((motion @ then - now)[:2, 3])) for then, now in others)
         if best is None or cost < best.cost - 1e-9:
             best = Placement(symmetry=S, goal=goal, cost=cost)
     assert best is not None  # every group holds the identity
@@ -263,16 +264,16 @@ def walk_length(start: np.ndarray, goal: np.ndarray, obstacle: np.ndarray, clear
     Where an end lies inside the clearance, the clearance shrinks to it.
     """
     to_start, to_goal = start - obstacle, goal - obstacle
-    radius = min(clearance_m, float(np.linalg.norm(to_start)), float(np.linalg.norm(to_goal)))
+    radius = min(clearance_m, float(norm(to_start)), float(norm(to_goal)))
     straight = goal - start
-    length = float(np.linalg.norm(straight))
+    length = float(norm(straight))
     if length < 1e-9 or radius <= 0.0:
         return length
-    share = float(np.clip(-(to_start @ straight) / length**2, 0.0, 1.0))
-    if np.linalg.norm(to_start + share * straight) >= radius - 1e-9:
+    share = float(np.clip(-dot(to_start, straight) / length**2, 0.0, 1.0))
+    if norm(to_start + share * straight) >= radius - 1e-9:
         return length
-    distances = [float(np.linalg.norm(end)) for end in (to_start, to_goal)]
+    distances = [float(norm(end)) for end in (to_start, to_goal)]
     tangents = sum(math.sqrt(max(distance**2 - radius**2, 0.0)) for distance in distances)
-    between = math.acos(float(np.clip(to_start @ to_goal / (distances[0] * distances[1]), -1.0, 1.0)))
+    between = math.acos(float(np.clip(dot(to_start, to_goal) / (distances[0] * distances[1]), -1.0, 1.0)))
     arc = between - sum(math.acos(min(1.0, radius / distance)) for distance in distances)
     return tangents + radius * max(arc, 0.0)

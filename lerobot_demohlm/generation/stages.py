@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstration import Demonstration
@@ -168,7 +169,7 @@ def choose_placement(
         for column, entry in enumerate(task.objects)
         if column != index
     ]
-    distance = float(np.linalg.norm(T_W_Od[:2, 3] - T_W_Rd[:2, 3]))
+    distance = float(norm(T_W_Od[:2, 3] - T_W_Rd[:2, 3]))
     return retarget.choose_placement(
         task.object(first.object).symmetry,
         T_W_Rd=T_W_Rd,
@@ -195,7 +196,7 @@ def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> 
         yield from walk(lambda: world.pose("pelvis"), goal, settings)
     except OffCourseError:
         here = poses.to_planar(world.pose("pelvis"))
-        distance, turn = np.hypot(*(goal - here)[:2]), abs(np.degrees(poses.wrap_angle(goal[2] - here[2])))
+        distance, turn = norm((goal - here)[:2]), abs(np.degrees(poses.wrap_angle(goal[2] - here[2])))
         raise StageError(
             "off_course",
             f"the base stood {distance:.3f} m and {turn:.0f} deg from its goal after all its walks (it goes on within "

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.robot import g1
@@ -49,4 +50,4 @@ class World:
     def object_displacement(self, name: str) -> float:
         """Return how far an object is from where it started [m]."""
         offset = self.pose(name)[:3, 3] - self.sim.start_pose(name)[self.index, :3, 3]
-        return float(np.sqrt(offset @ offset))
+        return float(norm(offset))
