@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import REGIONS, InitialState, ObjectSpec, Task, limit_yaw, register_task
-from gym_demohlm.worlds import Worlds
+from gym_demohlm.registry import register_task
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.simulation.worlds import Worlds
+from gym_demohlm.task import REGIONS, InitialState, ObjectSpec, Task, limit_yaw
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint

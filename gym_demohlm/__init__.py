@@ -11,6 +11,6 @@ if _sys.platform == "linux" and not _os.environ.get("DISPLAY") and "MUJOCO_GL" n
             _os.environ["MUJOCO_GL"] = _backend
             break
 
-from gym_demohlm.task import all_tasks as _all_tasks
+from gym_demohlm.registry import all_tasks as _all_tasks
 
 _all_tasks()

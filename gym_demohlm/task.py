@@ -5,10 +5,7 @@ succeeded. The environment owns the loop. A new task is one new file in ``tasks/
 one call of ``register_task`` (``docs/adding_a_task.md``).
 """
 
-import functools
-import importlib
 import math
-import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
@@ -18,10 +15,9 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.errors import SceneError, UnknownNameError
-from gym_demohlm.registration import register_environment
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 InitialState = dict[str, list[float]]
 """Where an episode starts: ``{"robot": [x, y, yaw], "object": [dy, dz, dyaw]}`` [m, rad], world frame.
@@ -267,62 +263,3 @@ class Task:
     def default_state(self) -> InitialState:
         """Return the state without randomness: robot at the near edge of the regions, objects at their defaults."""
         return {"robot": [-0.3, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
-
-
-_registered: dict[str, Task] = {}
-
-
-def register_task(task: Task) -> Task:
-    """Make a task known under its name and register its environment ``DemoHLM/<name>-v0``; returns the task.
-
-    Raises:
-        SceneError: Another task has that name.
-    """
-    if _registered.setdefault(task.name, task) is not task:
-        raise SceneError(f"a second task {task.name!r}", "one task a name", "rename one of the two")
-    register_environment(task)
-    return task
-
-
-@functools.cache
-def _load_task_files() -> None:
-    from gym_demohlm import tasks
-
-    for module in sorted(entry.name for entry in pkgutil.iter_modules(tasks.__path__)):
-        register_task(importlib.import_module(f"{tasks.__name__}.{module}").TASK)
-
-
-def all_tasks() -> dict[str, Task]:
-    """Return every task by name: those of the package's task files, and those registered from outside."""
-    _load_task_files()
-    return dict(sorted(_registered.items()))
-
-
-def get_task(name: str) -> Task:
-    """Return a task by its name, "LiftBox" or "LiftBox-v0".
-
-    As in Gymnasium, "my_module:MyTask" imports a module first, which registers the task.
-
-    Raises:
-        UnknownNameError: No such task; the message names the closest one.
-        SceneError: There is no such module.
-    """
-    module, _, bare = name.rpartition(":")
-    if module:
-        _import(module)
-    found = all_tasks()
-    bare = bare.removeprefix("DemoHLM/").removesuffix("-v0")
-    if bare not in found:
-        raise UnknownNameError("task", bare, found)
-    return found[bare]
-
-
-def _import(module: str) -> None:
-    try:
-        importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name != module:
-            raise
-        raise SceneError(
-            f"a task in the module {module!r}, which is not found", "a module on Python's path", "set PYTHONPATH"
-        ) from None

@@ -9,5 +9,5 @@ import importlib
 
 def register() -> None:
     """Make ``--env.type=demohlm`` and ``--policy.type=chunked_mlp`` known to LeRobot."""
-    for module in ("lerobot_demohlm.env_config", "lerobot_demohlm.policies.chunked_mlp"):
+    for module in ("lerobot_demohlm.evaluation.env_config", "lerobot_demohlm.policies.chunked_mlp"):
         importlib.import_module(module)

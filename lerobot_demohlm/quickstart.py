@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from gym_demohlm.envs.rendering import Renderer
+from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError, SceneError
-from gym_demohlm.rendering import Renderer
-from gym_demohlm.task import get_task
-from gym_demohlm.vector_env import DemoHLMVectorEnv
-from lerobot_demohlm.dataset import read_facts, require_new_root
-from lerobot_demohlm.training import BATCH_SIZE, train
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.datasets.facts import read_facts, require_new_root
+from lerobot_demohlm.policies.training import BATCH_SIZE, train
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +114,8 @@ def run(quickstart: Quickstart) -> Path:
         checkpoint = train(quickstart.root / "train", dataset_root, steps=quickstart.steps, seed=quickstart.seed)
 
     with _step(durations, 3, f"Scoring {quickstart.num_rollouts} rollouts from starts it has not seen"):
-        from lerobot_demohlm.evaluation import FIRST_SEED, evaluate, summarize
-        from lerobot_demohlm.rollouts import Setting, load_policy
+        from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
+        from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
 
         recorder = Recorder()
         with _quiet():
@@ -132,7 +132,7 @@ def run(quickstart: Quickstart) -> Path:
         _say(f"Success {100 * success['rate']:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f} %)")
 
     with _step(durations, 4, "Writing video and report"):
-        from lerobot_demohlm.report import Film, render_report, write_video
+        from lerobot_demohlm.reports.report import Film, render_report, write_video
 
         first = records[0]
         caption = (

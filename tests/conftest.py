@@ -6,15 +6,27 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from gym_demohlm import registry
+
+
+@pytest.fixture(autouse=True)
+def known_tasks() -> Iterator[None]:
+    """Forget the tasks that a test has registered."""
+    before = registry.all_tasks()
+    yield
+    registry._registered.clear()
+    registry._registered.update(before)
 
 
 @pytest.fixture(scope="session")
 def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the root of a dataset of few attempts, of which some failed; not to be changed."""
-    import small_run as module
+    from tests.helpers import small_run as module
 
     root = tmp_path_factory.mktemp("small") / "run"
     module.generate(root)

@@ -10,14 +10,13 @@ from types import ModuleType
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from hold import HoldController
 
 from gym_demohlm import poses, task
 from gym_demohlm.control import command
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.teleop import record
-
-REPOSITORY = Path(__file__).parent.parent
+from tests.helpers.hold import HoldController
+from tests.helpers.paths import REPOSITORY
 
 
 def _load(name: str) -> ModuleType:

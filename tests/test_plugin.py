@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,10 +11,10 @@ from lerobot.envs import env_to_policy_features, make_env_config
 
 import lerobot_demohlm
 from gym_demohlm.errors import UnknownNameError
-from gym_demohlm.task import all_tasks
+from gym_demohlm.registry import all_tasks
+from tests.helpers.paths import REPOSITORY
 
 lerobot_demohlm.register()
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(
@@ -43,14 +42,13 @@ def test_importing_the_package_alone_is_cheap() -> None:
 
 
 def test_every_package_is_installed() -> None:
-    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
-    found = {
-        ".".join(path.parent.relative_to(ROOT).parts)
-        for package in ("gym_demohlm", "lerobot_demohlm")
-        for path in (ROOT / package).rglob("__init__.py")
+    """Folders of code without an ``__init__.py`` would be left out of the wheel."""
+    folders = {
+        path.parent
+        for package in ("gym_demohlm", "lerobot_demohlm", "lerobot_env_demohlm")
+        for path in (REPOSITORY / package).rglob("*.py")
     }
-    mapped = {"lerobot_env_demohlm", "lerobot_demohlm.dataset_cards"}
-    assert listed == found - {"lerobot_demohlm._plugin"} | mapped
+    assert [folder for folder in sorted(folders) if not (folder / "__init__.py").exists()] == []
 
 
 @pytest.mark.parametrize("task", all_tasks())

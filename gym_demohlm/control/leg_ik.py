@@ -6,17 +6,18 @@ The roll and yaw axes meet in a point ahead of and below the pitch axis, so a le
 which tells where that point goes, and from that point.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.arithmetic import arccos, arcsin, arctan2, hypot
+from gym_demohlm.arithmetic import arccos, arctan2, hypot
 from gym_demohlm.robot import g1
 
-_INCLINATION = 2 * arcsin(0.08733857)  # rad
+_INCLINATION = 2 * math.asin(0.08733857)  # rad
 _AHEAD, _BELOW = 0.0246, 0.0262  # m: where the roll and yaw axes meet, seen from the pitch axis
-_THIGH_FROM_THERE = hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
-_THIGH_ANGLE = arctan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
+_THIGH_FROM_THERE = math.hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
+_THIGH_ANGLE = math.atan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
 _SIDES = np.array([1.0, -1.0])  # left, right
 _AXES = np.eye(3)[:, :, None, None]  # components of the unit vectors
 

@@ -16,8 +16,8 @@ from gym_demohlm.control import attitude, features, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.control.settings import Gait, Settings
 from gym_demohlm.robot import g1
+from gym_demohlm.timing import CONTROL_DT
 
-CONTROL_DT = 0.02  # s: 50 Hz
 NUM_LOWER = len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS)  # the joints that the policy drives
 
 

@@ -1,8 +1,8 @@
 """What a controller remembers, what it senses and what it is told -> what its policy sees, and joint targets: one tick.
 
-Training (``wbc.mdp``) and running (``control.whole_body``) call these same functions on the same state, so that a
-policy runs as it was trained. A tick senses, moves command and clock on, shows the policy the outcome, and turns the
-policy's action into targets; whatever it leads to is seen in the next.
+Training (``wbc.training.mdp``) and running (``control.whole_body``) call these same functions on the same state, so
+that a policy runs as it was trained. A tick senses, moves command and clock on, shows the policy the outcome, and turns
+the policy's action into targets; whatever it leads to is seen in the next.
 """
 
 from dataclasses import dataclass, fields
@@ -12,6 +12,7 @@ import numpy as np
 from gym_demohlm.control import attitude, features, odometry, reference, trim
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.robot import g1
+from gym_demohlm.timing import CONTROL_DT
 
 _LEGS, _LOWER = len(g1.LEG_JOINTS), reference.NUM_LOWER
 _HISTORY = features.HISTORY * features.FRAME_SIZE
@@ -170,7 +171,7 @@ class Tick:
         down_torso = attitude.in_torso(down, waist)
         before = state[:, _ARMS]
         carried = self.reference.arm_load.weigh(
-            state[:, _CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, reference.CONTROL_DT
+            state[:, _CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, CONTROL_DT
         )
         startled = self._startled(current, before, carried, found, velocity)
         clock = reference.advance_clock(
@@ -186,7 +187,7 @@ class Tick:
         correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
         told = slewed.copy()
         told[:, _TRIMMED] += correction
-        arm_velocity = np.clip((arms - before) / reference.CONTROL_DT, -_LARGEST_ARM_SPEED, _LARGEST_ARM_SPEED)
+        arm_velocity = np.clip((arms - before) / CONTROL_DT, -_LARGEST_ARM_SPEED, _LARGEST_ARM_SPEED)
         return Situation(
             history=history,
             last_action=state[:, LAST_ACTION],

@@ -7,8 +7,8 @@ slow: a torso that something holds back pushes little harder with time, and whoe
 
 import numpy as np
 
-from gym_demohlm.control import reference
 from gym_demohlm.control.settings import Trim
+from gym_demohlm.timing import CONTROL_DT
 
 
 def advance(
@@ -27,5 +27,5 @@ def advance(
         (N, 5).
     """
     limits = np.array(settings.limits)
-    further = np.clip(trim + settings.rate * reference.CONTROL_DT * (told - measured), -limits, limits)
-    return np.where(constant, further, (1 - settings.fade * reference.CONTROL_DT) * trim)
+    further = np.clip(trim + settings.rate * CONTROL_DT * (told - measured), -limits, limits)
+    return np.where(constant, further, (1 - settings.fade * CONTROL_DT) * trim)

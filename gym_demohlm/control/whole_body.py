@@ -32,7 +32,7 @@ class Weights:
     """The exported policy: layers, normaliser, quasi-static tables, settings and metadata.
 
     Args:
-        path: An ``.npz`` written by ``gym_demohlm.wbc.export``. Nothing in it is executed or unpickled.
+        path: An ``.npz`` written by ``gym_demohlm.wbc.training.export``. Nothing in it is executed or unpickled.
 
     Attributes:
         metadata: How it was trained and what it expects.

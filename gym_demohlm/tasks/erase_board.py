@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import DARK_WOOD, STEEL, WOOD, add_picture, add_shape
-from gym_demohlm.lettering import write
 from gym_demohlm.scene import aim_overview
+from gym_demohlm.scene.furniture import DARK_WOOD, STEEL, WOOD, add_picture, add_shape
+from gym_demohlm.scene.lettering import write
 from gym_demohlm.task import REGIONS, Memory, ObjectSpec, Task, dropped, limit_yaw
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 BOARD_POSITION = (0.45, 0.0, 0.0)  # m, the floor below the middle of the board's front; x points into the board
 BOARD_HALF_SIZE = (0.010, 0.36, 0.22)  # m

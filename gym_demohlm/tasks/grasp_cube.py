@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
+from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 CUBE_EDGE = 0.06  # m
 CUBE_MASS = 0.20  # kg

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
+from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 CUBE_EDGE, CUBE_MASS = 0.06, 0.4  # m, kg: of stone
 TABLE_RADIUS, TABLE_HEIGHT = 0.12, 0.75  # m

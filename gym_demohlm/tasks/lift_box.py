@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import CARDBOARD, DARK_WOOD, QUARTER_TURNS, add_shape
 from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
+from gym_demohlm.scene.furniture import CARDBOARD, DARK_WOOD, QUARTER_TURNS, add_shape
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 BOX_SIZE = (0.26, 0.26, 0.18)  # m
 BOX_MASS = 1.0  # kg

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import DARK_WOOD, STEEL, WOOD, add_picture, add_shape
 from gym_demohlm.robot.g1 import ROBOT_BIT
 from gym_demohlm.scene import aim_overview
+from gym_demohlm.scene.furniture import DARK_WOOD, STEEL, WOOD, add_picture, add_shape
 from gym_demohlm.task import REGIONS, ObjectSpec, Task, limit_yaw
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 DEPTH, WIDTH, HEIGHT, BASE = 0.34, 0.42, 1.10, 0.45  # m; the door begins where the base ends
 BOARD = 0.012  # m, half the thickness of its boards

@@ -14,12 +14,12 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
-from gym_demohlm.furniture import LIQUID_BIT, UNYIELDING, add_picture, add_shape, add_table, add_vessel
 from gym_demohlm.robot.g1 import WORLD_BIT
+from gym_demohlm.scene.furniture import LIQUID_BIT, UNYIELDING, add_picture, add_shape, add_table, add_vessel
 from gym_demohlm.task import ObjectSpec, Task
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 TABLE_POSITION, TABLE_HALF, TABLE_HEIGHT = (0.42, 0.0), (0.17, 0.34), 0.75  # m
 BOTTLE_RADIUS, BOTTLE_HEIGHT, BOTTLE_WALL = 0.031, 0.16, 0.008  # m

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_round_table
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_round_table
 from gym_demohlm.task import ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 CUBE_EDGE = 0.06  # m
 CUBE_MASS = 0.15  # kg

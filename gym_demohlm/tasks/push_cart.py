@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import CARDBOARD, STEEL, add_picture, add_shape
 from gym_demohlm.robot.g1 import WORLD_BIT
 from gym_demohlm.scene import aim_overview
+from gym_demohlm.scene.furniture import CARDBOARD, STEEL, add_picture, add_shape
 from gym_demohlm.task import REGIONS, ObjectSpec, Task, limit_yaw
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 CART_POSITION = (0.82, 0.0, 0.0)  # m, the floor under the middle of the deck
 BAR_HEIGHT, BAR_X, BAR_HALF_LENGTH, BAR_RADIUS = 0.92, -0.42, 0.26, 0.014  # m

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
 from gym_demohlm.task import Memory, ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
-    from gym_demohlm.worlds import Worlds
+    from gym_demohlm.simulation.worlds import Worlds
 
 CUBE_EDGE = 0.07  # m
 CUBE_MASS = 0.6  # kg

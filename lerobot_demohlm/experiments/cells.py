@@ -14,14 +14,14 @@ from typing import Any
 import torch
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.dataset import count_attempts, read_attempts, read_facts
-from lerobot_demohlm.evaluation import FIRST_SEED, evaluate
+from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
+from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
 from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
-from lerobot_demohlm.presets import get_preset
-from lerobot_demohlm.rollouts import Setting, load_policy
-from lerobot_demohlm.run_lock import RunLock
-from lerobot_demohlm.training import checkpoint, train
+from lerobot_demohlm.policies.presets import get_preset
+from lerobot_demohlm.policies.training import checkpoint, train
+from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
 Line = dict[str, Any]

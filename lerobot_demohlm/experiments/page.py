@@ -16,13 +16,13 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from gym_demohlm.task import get_task
-from lerobot_demohlm import provenance, results
-from lerobot_demohlm.evaluation import read_records
-from lerobot_demohlm.experiments import plots
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.evaluation.evaluate import read_records
+from lerobot_demohlm.experiments import lines, plots, readme_tables
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
 from lerobot_demohlm.experiments.tables import latest, method_title
-from lerobot_demohlm.training import checkpoint
+from lerobot_demohlm.policies.training import checkpoint
+from lerobot_demohlm.reproducibility import provenance
 
 VIDEO_WIDTH = 320  # px
 Line = dict[str, Any]
@@ -47,8 +47,8 @@ class Section:
 
 def figures(folder: Path) -> dict[str, str]:
     """Return the figures that the lines in a folder of results fill, as SVG by file name."""
-    experiments = results.read(folder / "experiments.jsonl")
-    drawn = {"regions.svg": plots.regions_figure(results.read(folder / "generation.jsonl"))}
+    experiments = lines.read(folder / "experiments.jsonl")
+    drawn = {"regions.svg": plots.regions_figure(lines.read(folder / "generation.jsonl"))}
     for preset in dict.fromkeys(line["preset"] for line in experiments):
         drawn[f"sizes_{preset}.svg"] = plots.size_figure(experiments, preset)
         drawn[f"architectures_{preset}.svg"] = plots.architectures_figure(experiments, preset)
@@ -73,7 +73,7 @@ def sections(layout: Layout, num_videos: int = 0) -> list[Section]:
         num_videos: Failures of each that are rolled out again and filmed.
     """
     shown = []
-    for line in latest(results.read(layout.policies_file)):
+    for line in latest(lines.read(layout.policies_file)):
         cell = Cell(**{name: line[name] for name in Cell.__dataclass_fields__})
         if not (cell.is_of(line) and layout.rollouts(cell).is_file() and checkpoint(layout.training(cell)).is_dir()):
             continue
@@ -110,7 +110,7 @@ def _films(cell: Cell, layout: Layout, record: Mapping[str, Any]) -> list[tuple[
 
     None where it ends otherwise now: that of a policy which draws random numbers, or acted on a GPU.
     """
-    from lerobot_demohlm.gallery import policy_take, write_take
+    from lerobot_demohlm.reports.gallery import policy_take, write_take
 
     task = get_task(cell.task)
     take = policy_take(task, cell.region, record["seed"], checkpoint(layout.training(cell)))
@@ -123,7 +123,7 @@ def _films(cell: Cell, layout: Layout, record: Mapping[str, Any]) -> list[tuple[
 
 
 def html_tables(text: str) -> Markup:
-    """Turn the Markdown of ``results.tables`` (titles, tables, blocks of commands) into HTML."""
+    """Turn the Markdown of ``readme_tables.tables`` (titles, tables, blocks of commands) into HTML."""
     parts: list[str] = []
     for block in text.split("\n\n"):
         lines = block.splitlines()
@@ -150,10 +150,10 @@ def render_page(layout: Layout, num_videos: int = 0) -> str:
         num_videos: Failures of each policy that are rolled out again and filmed.
     """
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True)
-    template = (importlib.resources.files("lerobot_demohlm") / "experiments.html.j2").read_text()
+    template = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / "experiments.html.j2").read_text()
     return environment.from_string(template).render(
         figures=[Markup(svg) for svg in figures(layout.results).values()],
-        tables=html_tables(results.tables(layout.results)),
+        tables=html_tables(readme_tables.tables(layout.results)),
         sections=sections(layout, num_videos),
         markup=Markup,
     )

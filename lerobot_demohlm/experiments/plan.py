@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
-from gym_demohlm.task import DEFAULT_REGION, all_tasks, get_task
-from lerobot_demohlm import portability, provenance
-from lerobot_demohlm.presets import POLICIES, get_preset
+from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.checks import portability
+from lerobot_demohlm.policies.presets import POLICIES, get_preset
+from lerobot_demohlm.reproducibility import provenance
 
 REGIONS = ("R1", "R2", "R3")
 FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.task import DEFAULT_REGION
-from lerobot_demohlm.evaluation import wilson
+from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
 from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, latest, mean_rate, rate
-from lerobot_demohlm.presets import POLICIES
+from lerobot_demohlm.policies.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 170, 34, 16, 24, 26  # of one panel and of its margins [px]
 COLOURS = {"mlp": "#2f6f4f", "act": "#2b5f9e", "diffusion": "#8a5aa8", "paper": "#9aa2ab", "generation": "#2f6f4f"}

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, DemoHLMError
-from gym_demohlm.task import get_task
-from lerobot_demohlm import results
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, TABLES, VARIANTS, Cell, Layout, RegionCell, plan
-from lerobot_demohlm.presets import NAMES, POLICIES
-from lerobot_demohlm.processes import end_with_parent
+from lerobot_demohlm.policies.presets import NAMES, POLICIES
+from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 _CHOICES = ("tasks", "sizes", "seeds", "policies", "variants")
 Line = dict[str, Any]
@@ -33,8 +33,8 @@ def missing(
     cells: Sequence[Cell | RegionCell], layout: Layout, num_rollouts: int = 1, num_attempts: int = 1
 ) -> list[Cell | RegionCell]:
     """Return the cells without a line of results of so many rollouts or attempts, in their order."""
-    policies = [line for line in results.read(layout.policies_file) if line.get("episodes", 0) >= num_rollouts]
-    regions = [line for line in results.read(layout.generation_file) if line.get("attempts", 0) >= num_attempts]
+    policies = [line for line in lines.read(layout.policies_file) if line.get("episodes", 0) >= num_rollouts]
+    regions = [line for line in lines.read(layout.generation_file) if line.get("attempts", 0) >= num_attempts]
     return [
         cell
         for cell in cells
@@ -95,7 +95,7 @@ def reproduce(
                     continue
                 if line is not None:
                     file = layout.generation_file if isinstance(cell, RegionCell) else layout.policies_file
-                    results.append(file, command, line)
+                    lines.append(file, command, line)
                     done += 1
 
 

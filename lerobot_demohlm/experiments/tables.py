@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.task import DEFAULT_REGION
-from lerobot_demohlm.evaluation import wilson
+from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS, VARIANTS, is_plain, stamp
-from lerobot_demohlm.presets import POLICIES
+from lerobot_demohlm.policies.presets import POLICIES
 
 RESAMPLES = 10_000
 VARIANT_NOTES = {

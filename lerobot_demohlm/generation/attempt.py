@@ -11,21 +11,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gym_demohlm import observation, poses
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
-from gym_demohlm.simulation import STEP_DT, Simulation
+from gym_demohlm.envs import observation
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.simulation.worlds import FALLEN_HEIGHT, FALLEN_TILT
 from gym_demohlm.task import InitialState, Task
-from gym_demohlm.worlds import FALLEN_HEIGHT, FALLEN_TILT
-from lerobot_demohlm.dataset import OUTCOMES, Episode
-from lerobot_demohlm.demonstration import Demonstration
-from lerobot_demohlm.fingerprint import Trail
+from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm.datasets.episode import OUTCOMES, Episode
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segmentation import segment
+from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
 from lerobot_demohlm.generation.world import World
-from lerobot_demohlm.segmentation import Segment, segment
+from lerobot_demohlm.reproducibility.fingerprint import Trail
 
 HELD_TICKS = 10  # success counts once it has held for 1 s, up to the end
 COLLISION_N = 60.0  # force between robot and obstacle that counts as a collision

@@ -9,7 +9,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.control import command
-from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.generation.stages import PlaybackSettings
 
 

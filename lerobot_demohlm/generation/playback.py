@@ -10,7 +10,9 @@ from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
-from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segmentation import TOGETHER_TICKS, gripper_events, groups
+from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.stages import (
@@ -22,7 +24,6 @@ from lerobot_demohlm.generation.stages import (
     first_approach,
 )
 from lerobot_demohlm.generation.world import World
-from lerobot_demohlm.segmentation import TOGETHER_TICKS, Segment, gripper_events, groups
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 from uuid import uuid4
 
 from gym_demohlm.errors import DemoHLMError
+from lerobot_demohlm.generation.block import pack_block, unpack_block
 from lerobot_demohlm.generation.workers import Done, Make
-from lerobot_demohlm.generation_block import pack_block, unpack_block
 
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # else `uv run` has Ray send this directory to every node
 

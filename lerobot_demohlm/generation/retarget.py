@@ -16,14 +16,8 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import arctan2, dot, norm
+from lerobot_demohlm.demonstrations.segments import Anchor
 
-Anchor = Literal["body", "eef_heading", "eef", "root", "world", "base"]
-"""Frame in which the motion after the switch is repeated: the end effector's origin with the root's heading, the whole
-end-effector pose, the root, or the end effector's origin with the world's axes, each frozen at the switch; or the base
-as it moves on, for hands that hold something while the robot walks. "body" is no offset of the hands but the places on
-the robot itself that they come to: a policy that has lifted something sees no more from how low, only where it is."""
-
-ANCHORS: tuple[Anchor, ...] = ("body", "eef_heading", "eef", "root", "world", "base")
 ANY_YAW_CANDIDATES = 72  # every 5 degrees, for a round object
 TURN_WEIGHT = 0.4  # m/rad: what a radian of turning costs compared with a metre of walking
 LAYOUT_WEIGHT = 20.0  # m/m: what another object a metre from where the motion expects it costs

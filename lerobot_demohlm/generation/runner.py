@@ -20,19 +20,19 @@ from typing import Any, Literal, get_args
 from tqdm import tqdm
 
 from gym_demohlm.errors import DatasetError, DemoHLMError
+from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
-from gym_demohlm.task import get_task
-from lerobot_demohlm import demonstration as demonstrations
-from lerobot_demohlm import provenance
-from lerobot_demohlm.dataset import GenerationFacts, installed_versions
-from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.command_noise import DEFAULT_SCALE
+from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import CHOICES, chosen_settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
-from lerobot_demohlm.generation_block import write_block
-from lerobot_demohlm.generation_run import GenerationRun
-from lerobot_demohlm.segmentation import segment
+from lerobot_demohlm.reproducibility import provenance
 
 BLOCK_SIZE = 32  # attempts a block: worlds that share the cost of a tick, and what a kill loses of each worker
 MAX_DEATHS = 3  # of workers at one block, before the run gives up

@@ -15,11 +15,11 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
-from lerobot_demohlm.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
+from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
 from lerobot_demohlm.generation.world import World
-from lerobot_demohlm.locomotion import LocomotionSettings, OffCourseError, walk
-from lerobot_demohlm.segmentation import Segment
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gym_demohlm.errors import DemoHLMError
-from lerobot_demohlm.processes import end_with_parent
+from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 Make = Callable[[Path, range], None]
 

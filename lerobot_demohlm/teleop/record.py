@@ -14,12 +14,12 @@ from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
+from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import InitialState, Task, get_task
-from lerobot_demohlm import provenance
-from lerobot_demohlm.dataset import installed_versions
-from lerobot_demohlm.demonstration import (
+from gym_demohlm.task import InitialState, Task
+from lerobot_demohlm.datasets.facts import installed_versions
+from lerobot_demohlm.demonstrations.demonstration import (
     ARRAYS,
     FORMAT_VERSION,
     Demonstration,
@@ -27,7 +27,8 @@ from lerobot_demohlm.demonstration import (
     pose_numbers,
     require_contact,
 )
-from lerobot_demohlm.locomotion import LocomotionSettings, walk
+from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk
+from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.teleop import scripts
 from lerobot_demohlm.teleop.operator import Operator, SceneView
 

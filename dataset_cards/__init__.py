@@ -1,1 +1,0 @@
-"""Templates of dataset cards, installed as ``lerobot_demohlm.dataset_cards``."""

@@ -1,0 +1,195 @@
+"""Actions of N worlds -> what both environments report of their episodes: observation, reward, success, failure, time.
+
+Success is reported three ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
+and ``success_held`` (it held for 1 s without a break). ``is_success``, which LeRobot scores, is the strictest, the held
+one. An episode ends when the success was held, the robot fell or the physics broke down; the time limit truncates it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gymnasium as gym
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.envs import observation
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.simulation import Controller, Simulation
+from gym_demohlm.task import InitialState, Task
+from gym_demohlm.timing import STEP_DT
+
+HOLD_S = 1.0  # s
+HOLD_STEPS = round(HOLD_S / STEP_DT)
+COLLISION_FORCE = 1.0  # N; below it a touch is not worth the name
+OBSERVATION_TYPES = ("state", "pixels_agent_pos")
+Observation = dict[str, np.ndarray | dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transition:
+    """One step of all worlds; rows of worlds that were left out repeat their last values.
+
+    Attributes:
+        reward: (N,) 1 where the success condition holds, else 0.
+        terminated: (N,) bool.
+        truncated: (N,) bool.
+        info: Arrays (N,) by name, see ``Episodes.info``; "clipped" counts the numbers of the action out of bounds.
+    """
+
+    reward: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    info: dict[str, np.ndarray]
+
+
+class Episodes:
+    """N worlds with their episode counters; knows nothing of seeds or autoreset.
+
+    Args:
+        task: The task.
+        num_worlds: N.
+        num_threads: Threads of the physics.
+        obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
+        controller: The shipped whole-body controller by default.
+
+    Raises:
+        UnknownNameError: No such obs_type.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_worlds: int = 1,
+        num_threads: int = 1,
+        obs_type: str = "state",
+        controller: Controller | None = None,
+    ) -> None:
+        if obs_type not in OBSERVATION_TYPES:
+            raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
+        self.task = task
+        self.obs_type = obs_type
+        self.max_steps = max_episode_steps(task)
+        self.sim = Simulation(task, num_worlds, num_threads, controller)
+        self._renderer = Renderer(self.sim.model)
+        self._steps = np.zeros(num_worlds, dtype=np.int64)
+        self._held_steps = np.zeros(num_worlds, dtype=np.int64)
+        self._success = np.zeros(num_worlds, dtype=bool)
+        self._success_ever = np.zeros(num_worlds, dtype=bool)
+        self._collided = np.zeros(num_worlds, dtype=bool)
+        self._clipped = np.zeros(num_worlds, dtype=np.int64)
+
+    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
+        """Begin new episodes in some worlds, all by default; one initial state each."""
+        rows = np.arange(self.sim.num_worlds) if worlds is None else np.asarray(worlds)
+        self.sim.reset(initial_states, rows)
+        self._steps[rows] = self._held_steps[rows] = self._clipped[rows] = 0
+        self._success_ever[rows] = self._collided[rows] = False
+        self._success[rows] = self.sim.success()[rows]
+        self._success_ever[rows] = self._success[rows]
+
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Transition:
+        """Apply one action a world for 0.1 s.
+
+        Args:
+            actions: (N, 23), see command.NAMES.
+            active: (N,) which worlds to step, all by default; the others and their counters stay as they are.
+
+        Raises:
+            CommandError: A wrong shape, or numbers that are not finite in an active row.
+        """
+        moved = np.ones(self.sim.num_worlds, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        result = self.sim.step(actions, moved)
+        self._steps += moved
+        self._clipped[moved] = result.num_clipped[moved]
+        self._success = np.where(moved, self.sim.success() & ~self.sim.unstable, self._success)
+        self._success_ever |= self._success
+        self._held_steps = np.where(moved, np.where(self._success, self._held_steps + 1, 0), self._held_steps)
+        self._collided |= result.collision_forces.max(axis=1) > COLLISION_FORCE
+        info = self.info()
+        terminated = info["success_held"] | info["fell"] | info["unstable"]
+        truncated = ~terminated & (self._steps >= self.max_steps)
+        return Transition(
+            reward=self._success.astype(np.float64), terminated=terminated, truncated=truncated, info=info
+        )
+
+    def info(self) -> dict[str, np.ndarray]:
+        """Return what is known of each world's episode, (N,) each.
+
+        Keys: is_success, success, success_ever, success_held, fell, unstable, collided, each of the task's failures
+        (bool), and clipped, how many numbers of the last action were out of bounds.
+        """
+        held = self._held_steps >= HOLD_STEPS
+        return {
+            "is_success": held,
+            "success": self._success.copy(),
+            "success_ever": self._success_ever.copy(),
+            "success_held": held.copy(),
+            "fell": self.sim.fallen(),
+            "unstable": self.sim.unstable,
+            "collided": self._collided.copy(),
+            **self.sim.failures(),
+            "clipped": self._clipped.copy(),
+        }
+
+    def observe(self) -> Observation:
+        """Return the observations of all worlds, new arrays with one row a world."""
+        seen: Observation = {
+            "agent_pos": observation.agent_pos(self.sim),
+            "environment_state": observation.environment_state(self.sim),
+        }
+        if self.obs_type == "pixels_agent_pos":
+            images = [self.render(world, "head") for world in range(self.sim.num_worlds)]
+            seen["pixels"] = {"head": np.stack(images)}
+        return seen
+
+    def render(self, world: int = 0, camera: str = "overview") -> np.ndarray:
+        """Return an image (480, 640, 3) uint8 of a world."""
+        return self._renderer.render(self.sim.mj_data(world), camera)
+
+    def close(self) -> None:
+        """Stop the threads and give the graphics context back."""
+        self._renderer.close()
+        self.sim.close()
+
+
+def max_episode_steps(task: Task) -> int:
+    """Return the time limit of a task in steps of 0.1 s."""
+    return max(1, round(task.episode_length_s / STEP_DT))
+
+
+def observation_space(task: Task, obs_type: str) -> gym.spaces.Dict:
+    """Return the observation space of one world."""
+    spaces: dict[str, gym.Space] = {
+        "agent_pos": _unbounded(len(observation.STATE_NAMES)),
+        "environment_state": _unbounded(observation.OBJECT_SIZE * len(task.objects)),
+    }
+    if obs_type == "pixels_agent_pos":
+        image = gym.spaces.Box(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+        spaces["pixels"] = gym.spaces.Dict({"head": image})
+    return gym.spaces.Dict(spaces)
+
+
+def action_space() -> gym.spaces.Box:
+    """Return the action space of one world: a command inside its bounds."""
+    return gym.spaces.Box(command.LOWER.astype(np.float32), command.UPPER.astype(np.float32), dtype=np.float32)
+
+
+def initial_state(task: Task, region: str, rng: np.random.Generator, options: dict | None) -> InitialState:
+    """Return where an episode starts: ``options["initial_state"]``, or drawn from ``options["region"]`` or region.
+
+    Raises:
+        UnknownNameError: The task has no such region.
+        SceneError: The initial state in the options is not a dictionary.
+    """
+    options = options or {}
+    given = options.get("initial_state")
+    if given is None:
+        return task.sample(options.get("region", region), rng)
+    if not isinstance(given, dict):
+        raise SceneError(f"initial_state={given!r}", "a dictionary", "see gym_demohlm.task.InitialState")
+    return {key: [float(value) for value in values] for key, values in given.items()}
+
+
+def _unbounded(size: int) -> gym.spaces.Box:
+    return gym.spaces.Box(-np.inf, np.inf, (size,), np.float32)

@@ -1,0 +1,183 @@
+"""N worlds of one task in one process as a Gymnasium vector environment: the bits of N single ones, much cheaper.
+
+``gym.make_vec("DemoHLM/LiftBox-v0", num_envs=16, vectorization_mode="vector_entry_point")``. Infos have the layout of
+Gymnasium's ``SyncVectorEnv``, so that LeRobot's evaluation reads them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
+from gym_demohlm.envs.episode import Episodes, action_space, initial_state, observation_space
+from gym_demohlm.errors import SceneError
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Controller, Simulation
+from gym_demohlm.task import DEFAULT_REGION, InitialState
+from gym_demohlm.timing import STEP_DT
+
+
+class DemoHLMVectorEnv(gym.vector.VectorEnv):
+    """N worlds stepped together.
+
+    Args:
+        num_envs: N.
+        task: Name of the task.
+        obs_type: "state", or "pixels_agent_pos" to add the head camera's images.
+        render_mode: None or "rgb_array".
+        region: Initial region from which ``reset`` draws.
+        num_threads: Threads of the physics.
+        autoreset_mode: SAME_STEP begins the next episode in the step that ended one; DISABLED leaves a world whose
+            episode ended as it is, at no cost, until ``reset``.
+        controller: For N worlds; the shipped whole-body controller by default.
+
+    Raises:
+        UnknownNameError: No such task, region, obs_type or render_mode.
+        SceneError: Another autoreset mode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / STEP_DT)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: str = "LiftBox",
+        obs_type: str = "state",
+        render_mode: str | None = None,
+        region: str = DEFAULT_REGION,
+        num_threads: int = 1,
+        autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+        controller: Controller | None = None,
+    ) -> None:
+        check_render_mode(render_mode)
+        if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
+            raise SceneError(f"autoreset_mode={autoreset_mode}", "SAME_STEP or DISABLED", "choose one of these")
+        definition = get_task(task)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
+        self.task, self.task_description = definition.name, definition.description
+        self.region = definition.region(region).name
+        self.single_observation_space = observation_space(definition, obs_type)
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._episodes = Episodes(definition, num_envs, num_threads, obs_type, controller)
+        self._max_episode_steps = self._episodes.max_steps
+        self._mode = autoreset_mode
+        self._randoms: list[np.random.Generator | None] = [None] * num_envs
+        self._ended = np.ones(num_envs, dtype=bool)  # none has begun
+
+    @property
+    def sim(self) -> Simulation:
+        """The simulation of all worlds."""
+        return self._episodes.sim
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | np.ndarray | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin new episodes.
+
+        Args:
+            seed: One number s for s, s + 1, ..., or one a world; None keeps a world's random numbers going.
+            options: "region"; "initial_state", one for all worlds or a list with one each; "reset_mask", (N,) bool,
+                which worlds, all by default.
+
+        Raises:
+            SceneError: As many seeds or initial states as worlds were expected.
+        """
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        worlds = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = [None if each is None else int(each) for each in seed]
+        else:
+            seeds = [None if seed is None else seed + world for world in range(self.num_envs)]
+        given = options.pop("initial_state", None)
+        states = given if isinstance(given, list | tuple) else [given] * self.num_envs
+        for what, values in (("seeds", seeds), ("initial states", states)):
+            if len(values) != self.num_envs:
+                raise SceneError(f"{len(values)} {what}", f"{self.num_envs}, one a world", "give one each")
+        for world in worlds:
+            if seeds[world] is not None or self._randoms[world] is None:
+                self._randoms[world] = seeding.np_random(seeds[world])[0]
+        infos = self._begin(worlds, options, states)
+        return self._episodes.observe(), infos
+
+    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Apply one command a world for 0.1 s.
+
+        Raises:
+            CommandError: Not (N, 23) numbers, finite in every world whose episode is going on.
+        """
+        transition = self._episodes.step(actions, ~self._ended)
+        terminated, truncated = transition.terminated, transition.truncated
+        observation = self._episodes.observe()
+        going = np.ones(self.num_envs, dtype=bool)
+        infos: dict[str, Any] = {}
+        self._ended |= terminated | truncated
+        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+            worlds = np.flatnonzero(self._ended)
+            going = ~self._ended
+            for world in worlds:
+                final = {name: values[world].item() for name, values in transition.info.items()}
+                last = {"final_obs": first_row(observation, world), "final_info": final}
+                infos = self._add_info(infos, last, world)
+            infos = self._begin(worlds, {}, [None] * self.num_envs, infos)
+            observation = self._episodes.observe()
+        for name, values in transition.info.items():
+            fresh = infos.get(name, np.zeros_like(values))
+            infos[name] = np.where(going, values, fresh)
+            infos[f"_{name}"] = np.ones(self.num_envs, dtype=bool)
+        return observation, transition.reward, terminated, truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...]:
+        """Return an image (480, 640, 3) uint8 of the overview camera for each world."""
+        return tuple(self._episodes.render(world) for world in range(self.num_envs))
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:  # noqa: ANN401
+        """Return an attribute, or what a method returns, once a world, as ``SyncVectorEnv`` does."""
+        value = getattr(self, name)
+        if name == "render":
+            return self.render()
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute, once a world."""
+        return self.call(name)
+
+    def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
+        """Close graphics context and threads."""
+        self._episodes.close()
+
+    def _begin(
+        self,
+        worlds: np.ndarray,
+        options: dict[str, Any],
+        given: Sequence[InitialState | None],
+        infos: dict[str, Any] | None = None,
+    ) -> dict[str, Any]:
+        """Begin episodes in some worlds and add what is known of them to the infos."""
+        states = []
+        for world in worlds:
+            generator = self._randoms[world]
+            if generator is None:
+                raise SceneError("a step", "a reset before it", "call reset first")
+            world_options = {**options, "initial_state": given[world]}
+            states.append(initial_state(self._episodes.task, self.region, generator, world_options))
+        self._episodes.reset(states, worlds)
+        self._ended[worlds] = False
+        facts = self._episodes.info()
+        collected: dict[str, Any] = infos or {}
+        for world, state in zip(worlds, states, strict=True):
+            info = {name: values[world].item() for name, values in facts.items()}
+            collected = self._add_info(collected, {**info, "initial_state": state}, world)
+        return collected

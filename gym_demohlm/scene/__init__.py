@@ -1,0 +1,5 @@
+"""A task and the robot -> a compiled MuJoCo model, and what task files build scenes from."""
+
+from gym_demohlm.scene.scene import Scene as Scene
+from gym_demohlm.scene.scene import aim_overview as aim_overview
+from gym_demohlm.scene.scene import build_scene as build_scene

@@ -1,0 +1,229 @@
+"""Sizes -> tables and loose things of primitives, with the collision bits and contact settings that all tasks share.
+
+Lengths are in metres, masses in kilograms. A table is a mocap body whose origin is on the floor under its middle: a
+task lists it among its supports.
+"""
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+
+from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
+
+Rgba = Sequence[float]
+WOOD, DARK_WOOD, STEEL, CARDBOARD = (
+    (0.72, 0.53, 0.36, 1.0),
+    (0.45, 0.38, 0.32, 1.0),
+    (0.55, 0.57, 0.60, 1.0),
+    (0.78, 0.57, 0.33, 1.0),
+)
+TOP_THICKNESS = 0.03
+SOFTNESS = (0.005, 1.0)
+"""A contact's time constant [s] and damping ratio: wood and steel that meet at 2 m/s give way by less than 5 mm."""
+UNYIELDING = (0.95, 0.999, 0.001)
+"""MuJoCo's solimp of small things on a table: a robot that falls on one presses it less far into the table."""
+_LEG_RADIUS = 0.025
+_FOOT_HEIGHT = 0.3
+_SHAPES = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+}
+
+
+def add_shape(
+    body: mujoco.MjsBody,
+    name: str,
+    shape: str,
+    half_size: Sequence[float],
+    position: Sequence[float] = (0.0, 0.0, 0.0),
+    rgba: Rgba = WOOD,
+    mass: float = 0.0,
+) -> mujoco.MjsGeom:
+    """Add a primitive that touches the robot and other things, with friction against spinning.
+
+    Args:
+        body: What it belongs to.
+        name: Of the geom.
+        shape: "box", "cylinder", "sphere", "capsule" or "ellipsoid".
+        half_size: Three half lengths or radii; radius and half height; or radius [m].
+        position: In the body's frame [m].
+        rgba: Colour.
+        mass: [kg].
+    """
+    return _make_touching(add_picture(body, shape, half_size, position, rgba, mass), name)
+
+
+def _make_touching(geom: mujoco.MjsGeom, name: str) -> mujoco.MjsGeom:
+    geom.name = name
+    geom.contype, geom.conaffinity, geom.condim = WORLD_BIT, ROBOT_BIT | WORLD_BIT, 4
+    geom.friction = [1.0, 0.01, 0.001]
+    geom.solref, geom.solmix = SOFTNESS, 1e3  # the softness of such a thing counts, not that of robot or floor
+    return geom
+
+
+def add_picture(
+    body: mujoco.MjsBody,
+    shape: str,
+    half_size: Sequence[float],
+    position: Sequence[float] = (0.0, 0.0, 0.0),
+    rgba: Rgba = WOOD,
+    mass: float = 0.0,
+) -> mujoco.MjsGeom:
+    """Add a primitive that is only seen, and weighed where a mass is given."""
+    size = [*half_size, *[0.0] * (3 - len(half_size))]
+    geom = body.add_geom(type=_SHAPES[shape], size=size, pos=list(position), rgba=list(rgba), mass=mass)
+    geom.contype, geom.conaffinity = 0, 0
+    return geom
+
+
+def add_round_table(
+    spec: mujoco.MjSpec,
+    position: tuple[float, float],
+    radius: float,
+    height: float,
+    name: str = "table",
+    up_to_rim: bool = False,
+) -> mujoco.MjsBody:
+    """Add a round table on one leg.
+
+    The robot meets the round top; loose things rest on a square inside it, whose contacts with boxes are steadier.
+
+    Args:
+        spec: The scene.
+        position: Of its middle, x and y.
+        radius: Of the top.
+        height: Of the top's upper face.
+        name: Of the mocap body.
+        up_to_rim: Loose things rest on the whole round top instead, for a task that moves them over the rim.
+    """
+    table = spec.worldbody.add_body(name=name, mocap=True, pos=[*position, 0.0])
+    middle = height - TOP_THICKNESS / 2
+    top = add_shape(table, f"{name}_top", "cylinder", [radius, TOP_THICKNESS / 2], [0, 0, middle], WOOD)
+    if not up_to_rim:
+        top.contype, top.conaffinity = 0, ROBOT_BIT
+        square = [radius / math.sqrt(2), radius / math.sqrt(2), TOP_THICKNESS / 2]
+        inner = add_shape(table, f"{name}_square", "box", square, [0, 0, middle], WOOD)
+        inner.contype, inner.conaffinity, inner.rgba = 0, WORLD_BIT, [0, 0, 0, 0]
+    add_shape(table, f"{name}_leg", "cylinder", [_LEG_RADIUS, height / 2], [0, 0, height / 2 - TOP_THICKNESS], STEEL)
+    # Leg and foot go through the floor where the table is lowered; a dome still looks like a foot then.
+    widest = min(0.8 * radius, 0.14)
+    add_picture(table, "ellipsoid", [widest, widest, _FOOT_HEIGHT], rgba=STEEL)
+    return table
+
+
+def add_table(
+    spec: mujoco.MjSpec,
+    position: tuple[float, float],
+    half_length: tuple[float, float],
+    height: float,
+    name: str = "table",
+) -> mujoco.MjsBody:
+    """Add a rectangular table on four legs.
+
+    Args:
+        spec: The scene.
+        position: Of its middle, x and y.
+        half_length: Of the top along x and y.
+        height: Of the top's upper face.
+        name: Of the mocap body.
+    """
+    table = spec.worldbody.add_body(name=name, mocap=True, pos=[*position, 0.0])
+    x, y = half_length
+    add_shape(table, f"{name}_top", "box", [x, y, TOP_THICKNESS / 2], [0, 0, height - TOP_THICKNESS / 2], WOOD)
+    for index in range(4):
+        sign_x, sign_y = 1 - 2 * (index % 2), 1 - 2 * (index // 2)
+        corner = [sign_x * (x - 0.03), sign_y * (y - 0.03), height / 2 - TOP_THICKNESS / 2]
+        add_shape(table, f"{name}_leg_{index}", "box", [0.02, 0.02, height / 2 - TOP_THICKNESS / 2], corner, DARK_WOOD)
+    return table
+
+
+def add_cube(
+    spec: mujoco.MjSpec,
+    name: str,
+    position: tuple[float, float, float],
+    edge: float,
+    mass: float,
+    rgba: Rgba = (0.80, 0.25, 0.20, 1.0),
+) -> mujoco.MjsBody:
+    """Add a loose cube.
+
+    Args:
+        spec: The scene.
+        name: Of the body, its free joint and its geom.
+        position: Of its centre.
+        edge: Its length.
+        mass: Its mass.
+        rgba: Colour.
+    """
+    body = spec.worldbody.add_body(name=name, pos=list(position))
+    body.add_freejoint(name=name)
+    add_shape(body, name, "box", [edge / 2] * 3, rgba=rgba, mass=mass)
+    return body
+
+
+QUARTER_TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
+"""Turns about the vertical after which a cube looks the same."""
+
+
+LIQUID_BIT = 8
+"""Collision bit of drops: they touch each other and the inner walls of vessels, beside whatever stands in the world."""
+
+
+def add_vessel(
+    spec: mujoco.MjSpec,
+    name: str,
+    position: tuple[float, float, float],
+    radius: float,
+    height: float,
+    wall: float,
+    mass: float,
+    rgba: Rgba,
+) -> mujoco.MjsBody:
+    """Add a loose, open, round vessel: hands and table meet a full cylinder, drops eight walls and a bottom inside it.
+
+    None of these is seen. What is seen is drawn over them: finer walls, or glass as one piece with its rim.
+
+    Args:
+        spec: The scene.
+        name: Of the body, its free joint and its outer geom.
+        position: Of its middle.
+        radius: Outer.
+        height: Outer.
+        wall: Thickness of walls and bottom: drops pass through walls thinner than their way in a few steps.
+        mass: Without what is in it.
+        rgba: Colour; one that lets light through gets a rim.
+    """
+    body = spec.worldbody.add_body(name=name, pos=list(position))
+    body.add_freejoint(name=name)
+    outside = add_shape(body, name, "cylinder", [radius, height / 2], mass=mass, rgba=(0, 0, 0, 0))
+    outside.contype, outside.conaffinity = WORLD_BIT, ROBOT_BIT
+    bottom = add_picture(body, "cylinder", [radius, wall / 2], [0, 0, (wall - height) / 2], (0, 0, 0, 0))
+    for index, part in enumerate([bottom, *_add_ring(body, radius, wall, 8, (-height / 2, height / 2), (0, 0, 0, 0))]):
+        _make_touching(part, f"{name}_inside_{index}")
+        part.contype, part.conaffinity = 0, LIQUID_BIT
+    if rgba[3] < 1.0:
+        add_picture(body, "cylinder", [radius, height / 2], rgba=rgba)
+        _add_ring(body, 1.01 * radius, wall, 24, (height / 2 - 0.006, height / 2), (*rgba[:3], 0.5 + rgba[3] / 2))
+    else:
+        add_picture(body, "cylinder", [0.99 * radius, wall / 2], [0, 0, (wall - height) / 2], rgba)
+        _add_ring(body, radius, wall, 24, (-height / 2, height / 2), rgba)
+    return body
+
+
+def _add_ring(
+    body: mujoco.MjsBody, radius: float, wall: float, count: int, heights: tuple[float, float], rgba: Rgba
+) -> list[mujoco.MjsGeom]:
+    """Add a round wall of boxes about the vertical, only seen; their outer corners meet."""
+    sides = []
+    for index in range(count):
+        angle, reach = 2 * math.pi / count * index, radius - wall / 2
+        middle = [reach * math.cos(angle), reach * math.sin(angle), (heights[0] + heights[1]) / 2]
+        half_size = [wall / 2, radius * math.tan(math.pi / count), (heights[1] - heights[0]) / 2]
+        side = add_picture(body, "box", half_size, middle, rgba)
+        side.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+        sides.append(side)
+    return sides

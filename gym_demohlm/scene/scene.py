@@ -1,0 +1,380 @@
+"""Task and robot -> one compiled MuJoCo model, with the addresses of its joints, objects and sensors found by name."""
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.robot import g1, neck
+from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
+from gym_demohlm.scene.furniture import add_picture
+from gym_demohlm.task import InitialState, ObjectSpec, Task
+
+OVERVIEW_CAMERA, OVERVIEW_FOVY = "overview", 45.0  # degrees
+HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
+"""The body whose subtree is a hand, palm or gripper with it."""
+
+FRAME_ALIASES = {"torso": "torso_link"}
+"""Short names of frames -> names in the MJCF; every body or site name is a frame name too."""
+
+_SHOT, _LEAD = np.array([0.5, 0.35, 0.0]), 11340.0  # where in a loose box a shot is, of its half lengths; kg/m^3
+_CONTACT_SLOTS = 8  # the strongest contacts of a pair; their normal forces are summed
+_MAX_FORCE = 2  # a contact sensor's reduction: keep the contacts with the largest force
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """How an object's pose is set: at the qpos address of its free joint, or as a mocap body."""
+
+    spec: ObjectSpec
+    qpos_address: int | None
+    mocap_index: int | None
+
+
+class Scene:
+    """One task's compiled model with its addresses; nothing in it changes but what a `Memory` draws.
+
+    Attributes:
+        task: The task.
+        model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
+        physics: The same without what is only seen, for stepping: it gives the same bits, sooner. (MuJoCo clears a byte
+            for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.)
+        untouched: The same without the no-slip pass, for worlds in which no hand touches an object.
+        base_qpos: Address of the pelvis pose in qpos (7 numbers: position, quaternion wxyz).
+        base_qvel: Address of the pelvis velocity in qvel (6 numbers: linear in the world, angular in the pelvis frame).
+        body_qpos, body_qvel: (29,) addresses of the body joints in g1.BODY_JOINTS order.
+        neck_qpos, neck_qvel: (2,) of the neck joints, yaw and pitch.
+        jaw_qpos, jaw_qvel: (2,) of the left and right gripper jaw; empty with rubber hands.
+        num_grippers: Controls are the body's, the neck's, then so many grippers'.
+        contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs, then force_pairs.
+        collision_address: (obstacles, slots) the same between the robot and task.obstacles.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        spec = _build_spec(task)
+        bare = spec.copy()
+        bare.compiler.discardvisual = True
+        try:
+            self.model, self.physics = spec.compile(), bare.compile()
+        except ValueError as error:
+            raise SceneError(
+                f"a scene of {task.name} that does not compile ({error})", "a valid MjSpec", "mend its build function"
+            ) from error
+        self.untouched = copy.copy(self.physics)
+        self.untouched.opt.noslip_iterations = 0
+        model = self.model
+        base = model.joint("floating_base_joint")
+        self.base_qpos, self.base_qvel = int(base.qposadr[0]), int(base.dofadr[0])
+        self.body_qpos, self.body_qvel = self._joints([f"{joint}_joint" for joint in g1.BODY_JOINTS])
+        self.neck_qpos, self.neck_qvel = self._joints([f"{joint}_joint" for joint in neck.NECK_JOINTS])
+        jaws = GRIPPER_JOINTS if task.hands == "gripper" else ()
+        self.jaw_qpos, self.jaw_qvel = self._joints([f"{jaw}_joint" for jaw in jaws])
+        self.num_grippers = len(jaws)
+        self._check_actuators()
+        self.contact_address = self._forces([_contact_name(*pair) for pair in task.contact_pairs + task.force_pairs])
+        self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
+        self._standing_height = self._find_standing_height()
+        self._placements = tuple(self._placement(entry) for entry in task.objects)
+        self._riders = {
+            carrier: tuple(self._free_joint(name) for name in names) for carrier, names in task.riders.items()
+        }
+        bodies = {model.body(index).name: ("body", index) for index in range(model.nbody)}
+        sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
+        self._frames = bodies | sites
+        self._frames |= {alias: self._frames[name] for alias, name in FRAME_ALIASES.items()}
+        self._supports = tuple(self._mocap_index(name) for name in task.supports)
+
+    def frame(self, name: str) -> tuple[str, int]:
+        """Return ("site" | "body", id) of a frame name.
+
+        Raises:
+            UnknownNameError: The model has no such body or site.
+        """
+        if name not in self._frames:
+            raise UnknownNameError("frame", name, self._frames)
+        return self._frames[name]
+
+    def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Turn an initial state into positions: robot at rest on its feet, objects and their supports where it says.
+
+        Returns:
+            qpos (nq,), mocap positions (nmocap, 3) [m], mocap quaternions (nmocap, 4) wxyz.
+
+        Raises:
+            SceneError: The state lacks "robot" or "object", or they are not three finite numbers each.
+        """
+        (x, y, yaw), (dy, dz, dyaw) = (_three_numbers(initial_state, key) for key in ("robot", "object"))
+        model = self.model
+        qpos = model.qpos0.copy()
+        qpos[self.base_qpos : self.base_qpos + 7] = x, y, self._standing_height, *_yaw_quat(yaw)
+        qpos[self.body_qpos] = g1.HOME
+        mocap_bodies = np.argsort(model.body_mocapid, kind="stable")[model.nbody - model.nmocap :]
+        mocap_pos = model.body_pos[mocap_bodies].copy()
+        mocap_quat = model.body_quat[mocap_bodies].copy()
+        for placement in self._placements:
+            position, quat = self._placed(placement.spec, dy, dz, dyaw)
+            if placement.qpos_address is not None:
+                qpos[placement.qpos_address : placement.qpos_address + 7] = *position, *quat
+            elif placement.mocap_index is not None:
+                mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
+            if placement.spec.height_joint is not None:
+                qpos[self._slide_address(placement.spec.height_joint)] = dz
+        for carrier, addresses in self._riders.items():
+            entry = self.task.object(carrier)
+            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, dy, dz, dyaw))
+            for address in addresses:
+                rider = poses.pose(model.qpos0[address : address + 3], model.qpos0[address + 3 : address + 7])
+                qpos[address : address + 7] = np.concatenate(poses.split(now @ poses.invert(start) @ rider))
+        for index in self._supports:
+            mocap_pos[index, 1:] += dy, dz
+        return qpos, mocap_pos, mocap_quat
+
+    def _placed(self, entry: ObjectSpec, dy: float, dz: float, dyaw: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return position [m] and quaternion wxyz of an object moved by a region's offsets."""
+        if entry.moves_with is not None:
+            carrier = self.task.object(entry.moves_with)
+            now = poses.pose(*self._placed(carrier, dy, dz, dyaw))
+            return poses.split(
+                now @ poses.invert(_pose(carrier.position, carrier.yaw)) @ _pose(entry.position, entry.yaw)
+            )
+        if not entry.placed:
+            dy = dz = dyaw = 0.0
+        position = np.array(entry.position)
+        position[1:] += dy, 0.0 if entry.height_joint is not None else dz
+        return position, np.array(_yaw_quat(entry.yaw + dyaw))
+
+    def _find_standing_height(self) -> float:
+        """Return the height of the pelvis [m] at which the soles of the home pose touch the floor."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.body_qpos] = g1.HOME
+        data.qpos[self.base_qpos : self.base_qpos + 7] = 0, 0, 0, 1, 0, 0, 0
+        mujoco.mj_kinematics(self.model, data)
+        points = [f"{side}_foot_point_{index}" for side in g1.SIDES for index in range(len(g1.FOOT_POINTS))]
+        return g1.FOOT_POINT_RADIUS - min(float(data.geom(name).xpos[2]) for name in points)
+
+    def _joints(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        joints = [self.model.joint(name) for name in names]
+        addresses = [(joint.qposadr[0], joint.dofadr[0]) for joint in joints]
+        columns = np.array(addresses, dtype=np.int64).reshape(-1, 2)
+        return columns[:, 0].copy(), columns[:, 1].copy()
+
+    def _check_actuators(self) -> None:
+        found = [self.model.actuator(index).name for index in range(self.model.nu)]
+        expected = list(actuator_names(self.task.hands))
+        if found != expected:
+            raise SceneError(f"actuators {found}", f"the robot's alone: {expected}", "let a task add none")
+
+    def _forces(self, names: Sequence[str]) -> np.ndarray:
+        starts = np.array([self.model.sensor(name).adr[0] for name in names], dtype=np.int64).reshape(-1, 1)
+        return starts + 3 * np.arange(_CONTACT_SLOTS)  # a contact force's first component is the normal one
+
+    def _placement(self, spec: ObjectSpec) -> _Placement:
+        address = self._free_joint_or_none(spec.name)
+        if address is not None:
+            return _Placement(spec, address, None)
+        body = self._body(spec.name).id
+        is_part = self.model.body_rootid[body] != body
+        if is_part and not spec.placed:
+            return _Placement(spec, None, None)
+        return _Placement(spec, None, self._mocap_index(spec.name))
+
+    def _free_joint(self, name: str) -> int:
+        address = self._free_joint_or_none(name)
+        if address is None:
+            raise SceneError(f"a rider {name!r} that cannot be moved", "a free joint", "add_freejoint to it")
+        return address
+
+    def _free_joint_or_none(self, name: str) -> int | None:
+        first = int(self._body(name).jntadr[0])
+        free = first >= 0 and self.model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
+        return int(self.model.jnt_qposadr[first]) if free else None
+
+    def _slide_address(self, name: str) -> int:
+        found = {self.model.joint(index).name: index for index in range(self.model.njnt)}
+        if name not in found or self.model.jnt_type[found[name]] != mujoco.mjtJoint.mjJNT_SLIDE:
+            slides = [
+                joint for joint, index in found.items() if self.model.jnt_type[index] == mujoco.mjtJoint.mjJNT_SLIDE
+            ]
+            raise UnknownNameError("slide joint", name, slides)
+        return int(self.model.jnt_qposadr[found[name]])
+
+    def _mocap_index(self, name: str) -> int:
+        index = int(self._body(name).mocapid[0])
+        if index < 0:
+            raise SceneError(f"a body {name!r} that cannot be moved", "a free joint or a mocap body", "set mocap=True")
+        return index
+
+    def _body(self, name: str) -> mujoco._structs._MjModelBodyViews:
+        try:
+            return self.model.body(name)
+        except KeyError:
+            names = [self.model.body(index).name for index in range(self.model.nbody)]
+            raise UnknownNameError("body", name, names) from None
+
+
+def build_scene(task: Task) -> Scene:
+    """Build and compile the scene of a task."""
+    return Scene(task)
+
+
+def aim_overview(
+    spec: mujoco.MjSpec,
+    eye: tuple[float, float, float],
+    target: tuple[float, float, float],
+    body: mujoco.MjsBody | None = None,
+) -> None:
+    """Put the overview camera at `eye`, looking at `target` [m].
+
+    Args:
+        spec: The scene.
+        eye: In the body's frame, as is the target.
+        target: What is in the middle of the picture.
+        body: What the camera is fixed to, such as furniture that should be seen from one side however it is turned; the
+            world by default.
+    """
+    camera = spec.camera(OVERVIEW_CAMERA)
+    if body is not None:
+        spec.delete(camera)
+        camera = body.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
+    camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
+
+
+def _build_spec(task: Task) -> mujoco.MjSpec:
+    spec = robot_spec(task.hands)
+    spec.modelname = task.name
+    _add_surroundings(spec)
+    task.build(spec)
+    _unbalance(spec)
+    for side, name in task.contact_pairs:
+        _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
+    for first, second in task.force_pairs:
+        _add_contact_sensor(spec, _contact_name(first, second), first, second)
+    for name in task.obstacles:
+        _add_contact_sensor(spec, _collision_name(name), "pelvis", name)
+    return spec
+
+
+def _unbalance(spec: mujoco.MjSpec) -> None:
+    """Put a lead shot into every loose box, off its middle.
+
+    A box that lies on another one in exact balance comes to rest with their faces parallel to the last bit, where
+    MuJoCo's collider of boxes (3.11 and before, its issue 3476) sometimes finds a contact as deep as the whole box and
+    throws it across the room: 5 cm cubes that only lay on a table, once in 1500 s. A box off balance leans by some
+    1e-7 rad, which is enough; it is heavier by less than half a percent.
+    """
+    for body in spec.bodies:
+        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+            for box in body.geoms:
+                if box.type == mujoco.mjtGeom.mjGEOM_BOX and (box.contype or box.conaffinity):
+                    middle = poses.transform(poses.pose(box.pos, box.quat), _SHOT * box.size).tolist()
+                    radius = 0.05 * min(box.size)
+                    mass = 4 / 3 * math.pi * radius**3 * _LEAD
+                    add_picture(body, "sphere", [radius], middle, (0, 0, 0, 0), mass)
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Add floor, sky, light, the overview camera, and an image buffer of 640x480."""
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = 640, 480
+    visual.quality.offsamples = 0  # multisampling costs most of a frame in software
+    visual.headlight.ambient, visual.headlight.diffuse = [0.35, 0.35, 0.35], [0.45, 0.45, 0.45]
+    visual.map.znear, visual.quality.shadowsize, visual.map.shadowscale = 0.01, 4096, 0.4
+    spec.stat.center, spec.stat.extent = [-0.2, 0.0, 0.5], 2.5  # m: what shadows and clipping planes are fitted to
+    builtin = mujoco.mjtBuiltin
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=builtin.mjBUILTIN_GRADIENT,
+        rgb1=[0.86, 0.90, 0.94],
+        rgb2=[0.55, 0.66, 0.76],
+        width=128,
+        height=768,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=builtin.mjBUILTIN_CHECKER,
+        rgb1=[0.60, 0.62, 0.64],
+        rgb2=[0.54, 0.56, 0.58],
+        width=256,
+        height=256,
+    )
+    material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, reflectance=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    world = spec.worldbody
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[10, 10, 0.1],
+        material="floor",
+        contype=g1.WORLD_BIT,
+        conaffinity=g1.ROBOT_BIT | g1.WORLD_BIT,
+        condim=3,
+        friction=[0.8, 0.005, 0.0001],
+    )
+    lamp = np.array([0.8, -1.6, 3.2])
+    world.add_light(
+        name="lamp",
+        type=mujoco.mjtLightType.mjLIGHT_SPOT,
+        pos=lamp,
+        dir=np.array([-0.3, 0.0, 0.4]) - lamp,
+        cutoff=75,
+        exponent=1,
+        diffuse=[0.5, 0.5, 0.5],
+        castshadow=True,
+    )
+    world.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
+    aim_overview(spec, (1.55, -1.95, 1.35), (-0.3, 0.1, 0.55))
+
+
+def _add_contact_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_XBODY,  # a whole subtree
+        objname=subtree,
+        reftype=mujoco.mjtObj.mjOBJ_XBODY,
+        refname=body,
+        intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, _MAX_FORCE, _CONTACT_SLOTS],
+    )
+
+
+def _contact_name(first: str, second: str) -> str:
+    return f"contact_{first}_{second}"
+
+
+def _collision_name(name: str) -> str:
+    return f"collision_{name}"
+
+
+def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
+    values = state.get(key)
+    if values is None or len(values) != 3 or not all(math.isfinite(value) for value in values):
+        expected = "'robot': [x, y, yaw] and 'object': [dy, dz, dyaw], finite numbers [m, rad]"
+        raise SceneError(f"an initial state with {key}={values}", expected, "give all six numbers")
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _pose(position: tuple[float, float, float], yaw: float) -> np.ndarray:
+    return poses.pose(np.array(position), np.array(_yaw_quat(yaw)))
+
+
+def _yaw_quat(yaw: float) -> tuple[float, float, float, float]:
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the quaternion wxyz of a camera (x right, y up, looking along -z) at eye that looks at target."""
+    back = (eye - target) / norm(eye - target)
+    right = np.cross([0, 0, 1], back)
+    right /= norm(right)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).flatten())
+    return quat

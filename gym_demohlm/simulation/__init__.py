@@ -1,0 +1,6 @@
+"""N worlds of one task that are stepped together, kept and restored."""
+
+from gym_demohlm.simulation.simulation import Controller as Controller
+from gym_demohlm.simulation.simulation import Simulation as Simulation
+from gym_demohlm.simulation.simulation import StepResult as StepResult
+from gym_demohlm.simulation.worlds import Worlds as Worlds

@@ -1,0 +1,320 @@
+"""Commands at 10 Hz -> N worlds of one task stepped together: whole-body controller at 50 Hz, physics at 500 Hz.
+
+What makes a world is its physics state, the controller's state, the last command and the neck's target; nothing hidden
+is carried over (the constraint solver starts cold at every controller tick). So a world gives the same bits alone or in
+any batch, on any number of threads, and from a restored snapshot.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from gym_demohlm.control import command
+from gym_demohlm.control.gaze import GazeController
+from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.simulation.worlds import Worlds
+from gym_demohlm.task import InitialState, Task
+from gym_demohlm.timing import CONTROL_DT, STEP_DT, TICKS
+
+MAX_ARM_SPEED = 5.0  # rad/s of the arms' targets: above what inverse kinematics asks for, below what motors can do
+GAZE_STEPS = 25  # after which the neck has turned from straight ahead to anywhere
+MAX_SPEED = 500.0  # largest |qvel| [m/s, rad/s] of a simulation that still means something
+
+_CONTROL_SPEC = (
+    mujoco.mjtState.mjSTATE_CTRL.value
+    | mujoco.mjtState.mjSTATE_MOCAP_POS.value
+    | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
+)
+_SNAPSHOT_FIELDS = (
+    "physics", "mocap", "controller", "command", "neck", "forces", "collisions", "unstable", "start_poses"
+)  # fmt: skip
+
+
+class Controller(Protocol):
+    """What the simulation needs of a whole-body controller; each row must have the same bits alone and in a batch."""
+
+    state: np.ndarray
+    """(num_worlds, state_size), everything it remembers."""
+
+    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
+        """Forget the past of these worlds; the other arguments have one row for each of them."""
+        ...
+
+    def step(
+        self,
+        quat_wxyz: np.ndarray,
+        gyro: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        commands: np.ndarray,
+        worlds: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the targets (rows, 29) [rad] of the body joints for one tick of these worlds."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepResult:
+    """What happened during one step of 0.1 s; rows of worlds that were left out are zero.
+
+    Attributes:
+        commands: (N, 23) as applied, inside the bounds.
+        num_clipped: (N,) how many numbers of each command were out of bounds.
+        contact_forces: (N, 5, pairs) normal force of each of task.contact_pairs, mean of each tick [N].
+        collision_forces: (N, 5) largest normal force between robot and obstacles in each tick [N].
+        unstable: (N,) whether the physics broke down, in this step or before.
+    """
+
+    commands: np.ndarray
+    num_clipped: np.ndarray
+    contact_forces: np.ndarray
+    collision_forces: np.ndarray
+    unstable: np.ndarray
+
+
+class Simulation(Worlds):
+    """N worlds of one task that can be reset, stepped, kept and restored; see ``Worlds`` for what can be asked.
+
+    Args:
+        task: The task.
+        num_worlds: N.
+        num_threads: Threads that step the physics; one does without a pool.
+        controller: For N worlds; the shipped whole-body controller by default.
+    """
+
+    def __init__(
+        self, task: Task, num_worlds: int = 1, num_threads: int = 1, controller: Controller | None = None
+    ) -> None:
+        if num_worlds < 1 or num_threads < 1:
+            raise SceneError(f"num_worlds={num_worlds}, num_threads={num_threads}", "at least 1 each", "raise them")
+        super().__init__(task, num_worlds)
+        model = self.model
+        self._controller: Controller = controller or WholeBodyController(num_worlds)
+        self._gaze = GazeController()
+        threads = min(num_threads, num_worlds)
+        self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._data = [mujoco.MjData(self.scene.physics) for _ in range(threads)]
+        # Inputs and outputs of the rollouts, made once; the first rows are used where fewer worlds take part.
+        substeps = round(CONTROL_DT / model.opt.timestep)  # physics steps a tick
+        self._control = np.zeros((num_worlds, substeps, model.nu + 7 * model.nmocap))
+        self._states = np.zeros((num_worlds, substeps, self._physics.shape[1]))
+        self._sensors = np.zeros((TICKS, num_worlds, substeps, model.nsensordata))
+        self._stepped = np.arange(num_worlds)
+        self.reset([task.default_state()] * num_worlds)
+
+    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
+        """Put worlds at the start of an episode: robot at rest, objects and supports where the states say.
+
+        Args:
+            initial_states: One a world.
+            worlds: Which worlds; all of them by default.
+
+        Raises:
+            SceneError: A state that is not two times three finite numbers, or not one a world.
+        """
+        rows = self._rows(worlds)
+        if len(initial_states) != len(rows):
+            raise SceneError(f"{len(initial_states)} initial states", f"{len(rows)}, one a world", "give one each")
+        placed = [self.scene.place(state) for state in initial_states]  # all of them before the first change
+        for row, (qpos, mocap_pos, mocap_quat) in zip(rows, placed, strict=True):
+            self._physics[row] = 0.0
+            self._qpos[row] = qpos
+            self._mocap[row] = np.concatenate([mocap_pos.ravel(), mocap_quat.ravel()])
+        self._command[rows] = command.rest()
+        for array in (self._neck, self._forces, self._collisions, self._unstable, self._memory):
+            array[rows] = 0
+        for _ in range(GAZE_STEPS):  # it looks where it should from the first image on
+            self._stale[rows] = True
+            self._neck[rows] = self._next_neck()[rows]
+            self._qpos[rows[:, None], self.scene.neck_qpos] = self._neck[rows]
+        self._stale[rows] = True
+        self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
+        self._controller.reset(rows, *self._proprioception(rows))
+
+    def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
+        """Apply one command a world for 0.1 s.
+
+        Velocities and torso are held; arm targets go linearly from the last command's to this one's, as far as
+        ``MAX_ARM_SPEED`` takes them: a policy, or chance, cannot make the hands strike. A world whose
+        physics breaks down keeps its last good state, is reported, and stays out until its next reset.
+
+        Args:
+            commands: (N, 23), see command.NAMES.
+            active: (N,) which worlds to step, all by default; the others stay bit for bit as they are.
+
+        Raises:
+            CommandError: A shape that is not (N, 23), or numbers that are not finite in an active row.
+        """
+        num_worlds = self.num_worlds
+        stepped = ~self._unstable if active is None else np.asarray(active, dtype=bool) & ~self._unstable
+        if np.shape(commands) == (num_worlds, command.SIZE):
+            commands = np.where(stepped[:, None], commands, self._command)
+        valid, num_clipped = command.clip(command.validate(commands, num_worlds))
+        num_clipped = np.where(stepped, num_clipped, 0)
+        way, before = MAX_ARM_SPEED * STEP_DT, self._command[:, command.ARMS]
+        valid[:, command.ARMS] = np.clip(valid[:, command.ARMS], before - way, before + way)
+        forces = np.zeros((num_worlds, TICKS, self._forces.shape[1]))
+        collisions = np.zeros((num_worlds, TICKS))
+        rows = np.flatnonzero(stepped)
+        previous_neck, next_neck = self._neck.copy(), self._next_neck()
+        previous_arms, next_arms = self._command[:, command.ARMS].copy(), valid[:, command.ARMS]
+        now = valid.copy()
+        for tick in range(TICKS):
+            share = (tick + 1) / TICKS
+            now[:, command.ARMS] = (1.0 - share) * previous_arms + share * next_arms
+            self._neck[stepped] = ((1.0 - share) * previous_neck + share * next_neck)[stepped]
+            rows = self._tick(tick, rows, now)
+        forces[rows], collisions[rows] = self._measure(rows)
+        self._stepped = rows
+        self._forces[rows], self._collisions[rows] = forces[rows, -1], collisions[rows, -1]
+        self._command[stepped] = valid[stepped]
+        self._stale[stepped] = True
+        if self.task.memory is not None:
+            self._memory[stepped] = self.task.memory.update(self, self._memory.copy())[stepped]
+        return StepResult(
+            commands=np.where(stepped[:, None], valid, 0.0),
+            num_clipped=num_clipped,
+            contact_forces=forces[..., : len(self.task.contact_pairs)],
+            collision_forces=collisions,
+            unstable=self._unstable.copy(),
+        )
+
+    @property
+    def controller(self) -> Controller:
+        """The whole-body controller of these worlds."""
+        return self._controller
+
+    def readings(self, sensor: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return what a sensor read in every physics step of the last step of 0.1 s.
+
+        Args:
+            sensor: Its name in the model.
+
+        Returns:
+            The worlds that took part (n,), and their readings (n, physics steps, dim).
+
+        Raises:
+            UnknownNameError: The model has no such sensor.
+        """
+        model = self.model
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, sensor)
+        if index < 0:
+            raise UnknownNameError("sensor", sensor, [model.sensor(i).name for i in range(model.nsensor)])
+        first, size = int(model.sensor_adr[index]), int(model.sensor_dim[index])
+        values = self._sensors[:, : len(self._stepped), :, first : first + size]
+        return self._stepped.copy(), np.concatenate(list(values), axis=1)
+
+    def snapshot(self, worlds: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Return the whole state of worlds (all by default) as arrays with one row each."""
+        rows = self._rows(worlds)
+        return {name: self._field(name)[rows].copy() for name in self._fields}
+
+    def restore(self, snapshot: dict[str, np.ndarray], worlds: np.ndarray | None = None) -> None:
+        """Bring worlds (all by default) back to a snapshot, bit for bit.
+
+        Raises:
+            SceneError: The snapshot is of another task, controller or number of worlds.
+        """
+        rows = self._rows(worlds)
+        for name in self._fields:
+            expected = (len(rows), *self._field(name).shape[1:])
+            got = snapshot[name].shape if name in snapshot else None
+            if got != expected:
+                raise SceneError(f"a snapshot with {name} of shape {got}", f"{expected}", "take it from such worlds")
+        for name in self._fields:
+            self._field(name)[rows] = snapshot[name]
+        self._stale[rows] = True
+
+    @property
+    def _fields(self) -> tuple[str, ...]:
+        """What makes a world; a task that remembers nothing has no field for it."""
+        return _SNAPSHOT_FIELDS if self.task.memory is None else (*_SNAPSHOT_FIELDS, "memory")
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._pool.close()
+
+    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Run one controller tick of some worlds; returns those of them whose physics is sound.
+
+        Args:
+            tick: Which of the step's ticks, where to keep the sensors.
+            rows: (n,) the worlds.
+            commands: (N, 23), a row for every world.
+        """
+        count = len(rows)
+        if count == 0:
+            return rows
+        everywhere = count == self.num_worlds
+        chosen = slice(None) if everywhere else rows
+        command_rows, before = commands[chosen], self._physics[chosen]
+        worlds = None if everywhere else rows
+        targets = self._controller.step(*self._proprioception(chosen), command_rows, worlds)
+        grippers = command_rows[:, command.GRIPPERS][:, : self.scene.num_grippers]
+        control = self._control[:count]
+        control[:] = np.concatenate([targets, self._neck[chosen], grippers, self._mocap[chosen]], axis=1)[:, None]
+        states = self._states[:count]
+        self._pool.rollout(
+            [self.scene.physics if touching else self.scene.untouched for touching in self._touching(rows)],
+            self._data,
+            before,
+            control,
+            control_spec=_CONTROL_SPEC,
+            skip_checks=True,
+            nstep=control.shape[1],
+            state=states,
+            sensordata=self._sensors[tick, :count],
+        )
+        after = states[:, -1]
+        # A MuJoCo warning ends a rollout early: time stands still or starts again. NaN fails the comparison of speeds.
+        on_time = np.abs(after[:, 0] - before[:, 0] - CONTROL_DT) < 0.5 * self.model.opt.timestep
+        sound = on_time & (np.abs(after[:, self._velocities]).max(axis=1) < MAX_SPEED)
+        if sound.all():
+            self._physics[chosen] = after
+            return rows
+        self._unstable[rows[~sound]] = True
+        self._physics[rows[sound]] = after[sound]
+        self._sensors[: tick + 1, : np.count_nonzero(sound)] = self._sensors[: tick + 1, :count][:, sound]
+        return rows[sound]
+
+    def _touching(self, rows: np.ndarray) -> np.ndarray:
+        """Return whether a hand touched one of its objects at the end of the last step, for each of some worlds."""
+        return np.any(self._forces[rows, : len(self.task.contact_pairs)] > 0.0, axis=1)
+
+    def _measure(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forces of measured pairs (n, 5, pairs) and collision forces (n, 5) of the step's sensors [N]."""
+        sensors = self._sensors[:, : len(rows)]
+        contacts = sensors[..., self.scene.contact_address].sum(axis=-1).mean(axis=2)
+        collisions = sensors[..., self.scene.collision_address].sum(axis=-1).max(axis=(2, 3), initial=0.0)
+        return contacts.swapaxes(0, 1), collisions.T
+
+    def _proprioception(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return pelvis quaternion, gyro, joint positions and velocities of some worlds."""
+        scene = self.scene
+        qpos, qvel = self._qpos[rows], self._qvel[rows]
+        quat, gyro = scene.base_qpos + 3, scene.base_qvel + 3
+        return (
+            qpos[:, quat : quat + 4],
+            qvel[:, gyro : gyro + 3],
+            qpos[:, scene.body_qpos],
+            qvel[:, scene.body_qvel],
+        )
+
+    def _next_neck(self) -> np.ndarray:
+        """Return the neck's targets (N, 2) [rad] at the end of this step, turned towards the gaze target."""
+        camera = self.pose("head_camera")
+        offset = self.pose(self.task.gaze_target)[:, :3, 3] - camera[:, :3, 3]
+        p_camera_target = (camera[:, :3, :3] * offset[:, :, None]).sum(axis=1)
+        # Columns in one piece, whatever N: NumPy may compute an arctangent by another routine where they are not.
+        return self._gaze.step(self._neck, np.asfortranarray(p_camera_target), STEP_DT)
+
+    def _field(self, name: str) -> np.ndarray:
+        return self._controller.state if name == "controller" else getattr(self, f"_{name}")
+
+    def _rows(self, worlds: np.ndarray | None) -> np.ndarray:
+        return np.arange(self.num_worlds) if worlds is None else np.atleast_1d(np.asarray(worlds, dtype=np.int64))

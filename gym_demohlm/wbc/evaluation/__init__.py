@@ -1,0 +1,1 @@
+"""What a whole-body controller is worth: tracking, balance, reach, and how peers do."""

@@ -1,0 +1,326 @@
+"""The MDP -> a trained controller: rsl_rl's PPO on CPU cores or a GPU, with checkpoints and curricula.
+
+``demohlm train-controller --hours 3 --output runs/controller`` trains; ``--resume`` goes on from the last checkpoint.
+On CPU cores every process steps its own worlds and learns from them; gradients are averaged, so that all stay equal.
+With ``--device cuda`` one process steps many more worlds and learns from them on the GPU.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from rsl_rl.runners import OnPolicyRunner
+from torch.multiprocessing.spawn import ProcessContext, start_processes
+
+from gym_demohlm.control import features
+from gym_demohlm.control.settings import Gait, Settings
+from gym_demohlm.errors import SceneError
+from gym_demohlm.wbc.training import rewards
+from gym_demohlm.wbc.training.export import export_weights, import_weights
+from gym_demohlm.wbc.training.mirror_model import MirrorModel
+from gym_demohlm.wbc.training.train_config import TrainConfig, cpu_config, cuda_config, ppo_config
+from gym_demohlm.wbc.training.vec_env import MdpVecEnv
+
+_SMALLEST_LOG_NOISE = -2.5
+_POLISHING_NOISE = 0.12
+_QUIET_JOINTS = np.array([0.5 if "hip_yaw" in joint else 1.0 for joint in features.DRIVEN_JOINTS])  # share of the noise
+_CRITIC_RATE = 1e-3  # learning rate of a critic that begins after the actor
+
+
+@dataclass
+class Progress:
+    """Where a run is; kept in its checkpoint."""
+
+    steps: int = 0
+    seconds: float = 0.0
+    iteration: int = 0
+    level: float = 0.0
+    push_level: float = 0.0
+
+
+def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = False) -> None:
+    """Train for a while, writing ``checkpoint.pt``, ``weights.npz`` and ``log.jsonl``; SIGTERM and Ctrl-C save first.
+
+    Args:
+        output: Folder of the run.
+        config: Of the run.
+        hours: Wall-clock time.
+        resume: Go on from ``checkpoint.pt``.
+
+    Raises:
+        SceneError: ``resume`` without a checkpoint, or a run that exists already without ``resume``.
+    """
+    checkpoint = output / "checkpoint.pt"
+    if resume != checkpoint.exists():
+        got = "no checkpoint" if resume else "a run that exists already"
+        raise SceneError(f"{got} in {output}", "a fresh folder, or a run to resume", "change --output or --resume")
+    output.mkdir(parents=True, exist_ok=True)
+    if config.num_processes == 1:
+        try:
+            _work(0, output, config, hours, "")
+        finally:
+            torch.set_flush_denormal(False)  # of this process, whatever it does next
+        return
+    with tempfile.TemporaryDirectory() as meeting:
+        arguments = (output, config, hours, f"file://{meeting}/store")
+        context = cast(
+            ProcessContext,
+            start_processes(_work, arguments, config.num_processes, join=False, start_method="spawn"),
+        )
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: [os.kill(cast(int, pid), signal.SIGTERM) for pid in context.pids()])
+        while not context.join():
+            pass
+
+
+def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: str) -> None:
+    """Be one of the processes; rank 0 writes."""
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    torch.manual_seed(config.seed + 1000 * rank)
+    if meeting:
+        dist.init_process_group("gloo", init_method=meeting, rank=rank, world_size=config.num_processes)
+    env = MdpVecEnv(replace(config.mdp, seed=config.seed + 1000 * rank), config.device)
+    log_dir = str(output / "tensorboard") if rank == 0 else None
+    runner = OnPolicyRunner(env, ppo_config(config), log_dir=log_dir, device=config.device)
+    runner.alg.is_multi_gpu = bool(meeting)  # rsl_rl's name for averaging gradients among processes
+    runner.alg.gpu_global_rank, runner.alg.gpu_world_size = rank, config.num_processes
+    progress = Progress()
+    if (output / "checkpoint.pt").exists():
+        saved = torch.load(output / "checkpoint.pt", weights_only=True, map_location=config.device)
+        runner.alg.load(saved, None, True)
+        progress = Progress(**saved["progress"])
+    else:
+        if config.warm_start is not None:
+            import_weights(runner.alg.get_policy(), config.warm_start)
+        if meeting:
+            runner.alg.broadcast_parameters()
+    if not config.curriculum or config.warm_start is not None:
+        progress.level = progress.push_level = 1.0
+    env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
+    runner.alg.train_mode()
+    if rank == 0:
+        runner.logger.init_logging_writer()
+    stopping: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda received, _: stopping.append(received))
+    start = time.monotonic() - progress.seconds
+    end = time.monotonic() + 3600 * hours
+    most_steps = config.max_steps or np.inf
+    while not _any(bool(stopping) or time.monotonic() > end) and progress.steps < most_steps:
+        _warm_up(runner, config, progress.iteration)
+        statistics = _iterate(runner, env, config)
+        if config.warm_start is not None and progress.iteration == 0:
+            _set_value(runner, statistics["reward"])
+        progress.iteration += 1
+        progress.steps += config.steps_per_iteration * env.num_envs * config.num_processes
+        progress.seconds = time.monotonic() - start
+        if progress.iteration % config.level_every == 0:
+            statistics |= _raise_levels(env, progress, config)
+            if rank == 0:
+                _log(output, runner, {**vars(progress), **statistics})
+        evaluates = progress.iteration % config.evaluate_every == 0
+        if rank == 0 and (evaluates or progress.iteration % config.save_every == 0):
+            _save(runner, env, output, progress, config)
+        if rank == 0 and evaluates:
+            _evaluate(output, runner, progress)
+    if rank == 0:
+        _save(runner, env, output, progress, config)
+    if meeting:
+        dist.destroy_process_group()
+
+
+def _warm_up(runner: OnPolicyRunner, config: TrainConfig, iteration: int) -> None:
+    """Let the critic alone learn, quickly, in the first iterations after a warm start."""
+    if config.warm_start is None or iteration > config.warm_up:
+        return
+    critic_alone = iteration < config.warm_up
+    runner.alg.get_policy().requires_grad_(not critic_alone)
+    rate = _CRITIC_RATE if critic_alone else config.warm_rate
+    runner.alg.learning_rate = rate
+    for group in runner.alg.optimizer.param_groups:
+        group["lr"] = rate  # whatever the bounds of the adaptive one
+
+
+def _set_value(runner: OnPolicyRunner, reward: float) -> None:
+    """Let a fresh critic begin at the value of a reward that goes on for ever, which it is slow to climb to."""
+    mean = torch.tensor(reward)
+    if dist.is_initialized():
+        dist.all_reduce(mean)
+        mean /= dist.get_world_size()
+    with torch.no_grad():
+        cast(Any, runner.alg.critic).mlp[-1].bias.fill_(float(mean) / (1 - runner.alg.gamma))
+
+
+def _any(flag: bool) -> bool:
+    """Return whether the flag is set in any process."""
+    if not dist.is_initialized():
+        return flag
+    value = torch.tensor(float(flag))
+    dist.all_reduce(value, op=dist.ReduceOp.MAX)
+    return bool(value)
+
+
+def _raise_levels(env: MdpVecEnv, progress: Progress, config: TrainConfig) -> dict[str, float]:
+    """Raise the curricula that robots have mastered, and start a new tally."""
+    tally = torch.from_numpy(env.tally.copy())
+    if dist.is_initialized():
+        dist.all_reduce(tally)
+    env.tally[:] = 0
+    between, between_pushed = float(tally[0] / max(tally[1], 1)), float(tally[2] / max(tally[3], 1))
+    if between > config.level_ticks:
+        progress.level = min(1.0, progress.level + config.level_step)
+    if between_pushed > config.push_level_ticks:
+        progress.push_level = min(1.0, progress.push_level + config.level_step)
+    env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
+    return {"ticks_between_falls": between, "ticks_between_falls_pushed": between_pushed}
+
+
+def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dict[str, float]:
+    """Collect one batch and learn from it; the loop of rsl_rl's runner without its bookkeeping."""
+    rewards = []
+    began = time.monotonic()
+    with torch.inference_mode():
+        seen = env.get_observations()
+        for _ in range(config.steps_per_iteration):
+            seen, reward, ended, extras = env.step(runner.alg.act(seen))
+            runner.alg.process_env_step(seen, reward, ended, extras)
+            rewards.append(float(reward.mean()))
+        runner.alg.compute_returns(seen)
+    collected = time.monotonic()
+    losses = runner.alg.update()
+    with torch.inference_mode():
+        for model in (runner.alg.actor, runner.alg.critic):
+            cast(MirrorModel, model).renew_normalization()
+        largest = torch.from_numpy(np.log(config.largest_noise * _QUIET_JOINTS)).to(_log_noise(runner))
+        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE).clamp_(max=largest)
+    tracking = {f"error/{name}": value for name, value in env.mdp.tracking.items()}
+    terms = {f"reward/{name}": value for name, value in env.mdp.terms.items()}
+    return {
+        "reward": float(np.mean(rewards)),
+        "collect_s": collected - began,
+        "learn_s": time.monotonic() - collected,
+        "learning_rate": runner.alg.learning_rate,
+        "noise": float(_log_noise(runner).exp().mean()),
+        **{f"loss/{name}": float(value) for name, value in losses.items()},
+        **tracking,
+        **terms,
+    }
+
+
+def _log_noise(runner: OnPolicyRunner) -> torch.Tensor:
+    return cast(Any, runner.alg.actor.distribution).log_std_param.data
+
+
+def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None:
+    with (output / "log.jsonl").open("a") as file:
+        file.write(json.dumps({name: round(value, 5) for name, value in values.items()}) + "\n")
+    if runner.logger.writer is not None:
+        for name, value in values.items():
+            runner.logger.writer.add_scalar(name, value, int(values["steps"]))
+    errors = " ".join(f"{name[6:]} {value:.3f}" for name, value in values.items() if name.startswith("error/"))
+    print(
+        f"{values['steps'] / 1e6:.2f} M steps, {values['seconds'] / 60:.1f} min, level {values['level']:.2f}, "
+        f"pushes {values['push_level']:.2f}, {values['ticks_between_falls']:.0f} ticks between falls, "
+        f"{values['ticks_between_falls_pushed']:.0f} pushed, reward {values['reward']:.3f}, "
+        f"noise {values['noise']:.2f}, "
+        f"rate {values['learning_rate']:.1e}, {values['collect_s']:.2f} + {values['learn_s']:.2f} s | {errors}",
+        flush=True,
+    )
+
+
+def _evaluate(output: Path, runner: OnPolicyRunner, progress: Progress) -> None:
+    """Run a short benchmark of the saved weights on the deployment model and log it."""
+    from gym_demohlm.wbc.evaluation.benchmark import quick  # the deployment model is not needed to learn
+
+    found = {f"deployment/{name}": value for name, value in quick(output / "weights.npz").items()}
+    line = {"steps": progress.steps, "seconds": round(progress.seconds, 1), **found}
+    with (output / "evaluation.jsonl").open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    print(json.dumps(line), flush=True)
+    if runner.logger.writer is not None:
+        for name, value in found.items():
+            runner.logger.writer.add_scalar(name, value, progress.steps)
+
+
+def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progress, config: TrainConfig) -> None:
+    partial = output / "checkpoint.partial"
+    torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
+    partial.replace(output / "checkpoint.pt")
+    facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
+    settings = config.mdp.settings
+    export_weights(runner.alg.get_policy(), env.mdp.reference, settings, output / "weights.npz", facts)
+    if progress.iteration % config.keep_every == 0:
+        shutil.copy(output / "weights.npz", output / f"weights_{progress.steps}.npz")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm train-controller``."""
+    parser.add_argument("--output", type=Path, default=Path("runs/controller"), help="folder of the run")
+    parser.add_argument("--hours", type=float, default=3.0, help="wall-clock time of training")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="mujoco.rollout, or mujoco_warp")
+    parser.add_argument("--num-processes", type=int, help="cpu: processes, one a core, that share 512 worlds (2)")
+    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    parser.add_argument("--polish", action="store_true", help="learn slowly, exploring little: the last part of a run")
+    parser.add_argument("--warm-start", type=Path, help="exported weights to go on from; the critic begins afresh")
+    parser.add_argument("--warm-up", type=int, default=TrainConfig.warm_up, help="iterations of that critic alone")
+    parser.add_argument("--gait", type=Path, help="JSON file of gait settings, see gym_demohlm.control.settings.Gait")
+    parser.add_argument(
+        "--reward",
+        type=rewards.parse,
+        action="append",
+        default=[],
+        metavar="NAME=WEIGHT",
+        help="another weight of a term of the reward, see gym_demohlm.wbc.training.rewards; may be given again",
+    )
+    parser.add_argument("--max-steps", type=int, help="control steps of the whole run after which it ends")
+    parser.add_argument("--evaluate-every", type=int, default=TrainConfig.evaluate_every, help="iterations")
+    parser.add_argument("--without", choices=("symmetry", "reference", "curriculum"), help="to see what it is worth")
+
+
+def _read_gait(path: Path | None) -> Gait:
+    """Return the gait in a JSON file, the default one without."""
+    return Settings.read({"gait": json.loads(path.read_text())}).gait if path else Gait()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Run ``demohlm train-controller``."""
+    config = cuda_config() if arguments.device == "cuda" else cpu_config(arguments.num_processes or 2)
+    processes = arguments.num_processes or config.num_processes
+    config = replace(
+        config,
+        mdp=replace(
+            config.mdp,
+            use_reference=arguments.without != "reference",
+            gait=_read_gait(arguments.gait),
+            reward_table=rewards.with_weights(dict(arguments.reward)),
+        ),
+        num_processes=processes,
+        polish=arguments.polish,
+        largest_noise=_POLISHING_NOISE if arguments.polish or arguments.warm_start else config.largest_noise,
+        warm_start=arguments.warm_start,
+        warm_up=arguments.warm_up,
+        symmetric=arguments.without != "symmetry",
+        curriculum=arguments.without != "curriculum",
+        evaluate_every=arguments.evaluate_every,
+        max_steps=arguments.max_steps,
+        seed=arguments.seed,
+    )
+    train(arguments.output, config, hours=arguments.hours, resume=arguments.resume)
+
+
+if __name__ == "__main__":
+    _parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(_parser)
+    main(_parser.parse_args())

@@ -1,0 +1,115 @@
+"""States and motor targets of N training worlds -> the states and sensor readings a control tick later, on a GPU.
+
+mujoco_warp in float32, with NumPy float64 at the border. It also runs on the CPU, slowly: what the tests do.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from gym_demohlm.errors import SceneError
+from gym_demohlm.wbc.training.physics import check_models
+
+_ROWS_PER_CONTACT = 4  # of a pyramidal friction cone in three dimensions
+_UNUSED = ("dof_length",)  # shared, differ with the masses, and are read for bodies that may sleep alone: none may
+
+
+class WarpPhysics:
+    """N worlds on a device of warp.
+
+    Args:
+        models: Randomised models; they may differ in what mujoco_warp keeps for each world: masses, inertias, friction,
+            gains, not in sizes or options.
+        num_worlds: N.
+        substeps: Physics steps a control tick, recorded as one CUDA graph.
+        device: ``cuda``, ``cuda:1``, ..., ``cpu``.
+
+    Raises:
+        SceneError: The models differ in something that worlds must share, or there is no such device.
+    """
+
+    def __init__(self, models: Sequence[mujoco.MjModel], num_worlds: int, substeps: int, device: str = "cuda") -> None:
+        check_models(models)
+        self._device = _device(device)
+        first = models[0]
+        self._nq = first.nq
+        # Each geom is a sphere on a plane: at most one contact; each joint has at most one limit active.
+        contacts = int(np.count_nonzero(first.geom_contype))
+        rows = _ROWS_PER_CONTACT * contacts + int(np.count_nonzero(first.jnt_limited))
+        with wp.ScopedDevice(self._device):
+            self._model = _merge(models)
+            self._data = mjw.make_data(first, nworld=num_worlds, nconmax=contacts, njmax=rows)
+            self._control = [wp.zeros((num_worlds, first.nu), dtype=float) for _ in range(substeps)]
+            self._graph = None
+            if self._device.is_cuda:
+                self._advance()  # compiles every kernel, which a recording must not
+                with wp.ScopedCapture() as capture:
+                    self._advance()
+                self._graph = capture.graph
+
+    def _advance(self) -> None:
+        self._data.qacc_warmstart.zero_()  # as mujoco.rollout: a tick is a function of state and control alone
+        for control in self._control:
+            wp.copy(self._data.ctrl, control)
+            mjw.step(self._model, self._data)
+
+    def assign(self, worlds: np.ndarray, models: np.ndarray) -> bool:
+        """Keep every world's model: they are laid out on the device once; see ``Physics``."""
+        return False
+
+    def step(self, state: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Advance all worlds; see ``Physics``."""
+        data, position_end = self._data, 1 + self._nq
+        with wp.ScopedDevice(self._device):
+            data.time.assign(state[:, 0])
+            data.qpos.assign(state[:, 1:position_end])
+            data.qvel.assign(state[:, position_end:])
+            for substep, array in enumerate(self._control):
+                array.assign(control[:, substep])
+            if self._graph is None:
+                self._advance()
+            else:
+                wp.capture_launch(self._graph)
+            arrived = np.concatenate([data.time.numpy()[:, None], data.qpos.numpy(), data.qvel.numpy()], axis=1)
+            return arrived.astype(np.float64), data.sensordata.numpy().astype(np.float64)
+
+
+def _device(name: str) -> wp.Device:
+    wp.init()
+    available = [device.alias for device in wp.get_devices()]
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError) as error:
+        raise SceneError(f"device {name!r}", f"one of {', '.join(available)}", "choose another --device") from error
+
+
+def _merge(models: Sequence[mujoco.MjModel]) -> mjw.Model:
+    """Put models on the device as one, its fields as long as there are models wherever these differ.
+
+    mujoco_warp reads such a field for world ``i`` at ``i % length``.
+    """
+    parts = [mjw.put_model(model) for model in models]
+    for group in (lambda part: part, lambda part: part.opt, lambda part: part.stat):
+        _merge_fields([group(part) for part in parts])
+    return parts[0]
+
+
+def _merge_fields(parts: Sequence[Any]) -> None:
+    """Make the fields of the first part stand for all parts."""
+    for field in dataclasses.fields(parts[0]):
+        values = [getattr(part, field.name) for part in parts]
+        if field.name in _UNUSED or not isinstance(values[0], wp.array):
+            continue
+        arrays = [value.numpy() for value in values]
+        if all(np.array_equal(array, arrays[0]) for array in arrays):
+            continue
+        if getattr(field.type, "shape", (None,))[0] != "*":
+            raise SceneError(
+                f"models that differ in {field.name}", "models that differ in numbers each world may have", "share it"
+            )
+        setattr(parts[0], field.name, wp.array(np.concatenate(arrays), dtype=values[0].dtype))

@@ -1,0 +1,98 @@
+"""Attempts at a task on one core -> CPU seconds an attempt, where they go, and episodes an hour and core.
+
+All that a worker does is counted: commands, inverse kinematics, controller, physics, judging, and writing the successes
+as LeRobot datasets. Compiling the scene and loading the demonstration, once a worker, are not.
+"""
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.registry import get_task
+from gym_demohlm.robot import g1
+from gym_demohlm.task import Task
+from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
+from lerobot_demohlm.datasets.writer import write_dataset
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.runner import BLOCK_SIZE
+
+
+def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration: Path | None = None) -> dict[str, Any]:
+    """Make attempts in blocks, as a worker does, and return what they took.
+
+    Args:
+        task: The task.
+        region: Initial region.
+        seed: Of the run.
+        num_attempts: How many, 1 or more.
+        demonstration: Directory of the demonstration; the packaged one by default.
+    """
+    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, BLOCK_SIZE)
+    watch = Stopwatch()
+    watch.watch(attempts._sim._pool, "rollout", "mj_step")
+    watch.watch(attempts._sim._controller, "step", "controller")
+    watch.watch(attempts._ik, "solve", "inverse_kinematics")
+    successes, simulated, after_first = 0, 0.0, 0.0
+    began = time.process_time()
+    with tempfile.TemporaryDirectory() as scratch:
+        for first in range(0, num_attempts, BLOCK_SIZE):
+            episodes = attempts.run(range(first, min(first + BLOCK_SIZE, num_attempts)))
+            simulated += sum(episode.length_s for episode in episodes)
+            kept = [episode for episode in episodes if episode.outcome == "success"]
+            successes += len(kept)
+            if kept:
+                before = time.process_time()
+                write_dataset(Path(scratch) / str(first), "local/block", kept)
+                watch.seconds["writing"] += time.process_time() - before
+            after_first = after_first or _peak_mb()
+    total = time.process_time() - began
+    attempts.close()
+    shares = {f"{name}_share": round(seconds / total, 4) for name, seconds in watch.seconds.items()}
+    return {
+        "task": task.name,
+        "region": region,
+        "seed": seed,
+        "attempts": num_attempts,
+        "successes": successes,
+        "cpu_s_per_attempt": round(total / num_attempts, 3),
+        "seconds_per_episode": round(total / max(successes, 1), 3),
+        "simulated_s_per_episode": round(simulated / max(successes, 1), 2),
+        "us_per_mj_step": round(1e6 * watch.seconds["mj_step"] * g1.PHYSICS_DT / simulated, 1),
+        **shares,
+        "python_share": round(1.0 - sum(watch.seconds.values()) / total, 4),
+        "episodes_per_hour_per_core": round(3600.0 * successes / total, 1),
+        "rss_growth_mb": round(_peak_mb() - after_first, 1),
+    }
+
+
+def _peak_mb() -> float:
+    """Return the largest memory that this process has held so far [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm benchmark generation``."""
+    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
+    parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the run (default: %(default)s)")
+    parser.add_argument("--num-attempts", type=int, default=16, help="how many (default: %(default)s)")
+    parser.add_argument("--demonstration", type=Path, help="directory of the demonstration (default: the packaged one)")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure; the last line on stdout is the result as JSON.
+
+    Raises:
+        DatasetError: The number of attempts is not positive.
+    """
+    if arguments.num_attempts < 1:
+        raise DatasetError(f"num_attempts={arguments.num_attempts}", "1 or more", "correct --num-attempts")
+    task = get_task(arguments.task)
+    found = measure(task, arguments.region, arguments.seed, arguments.num_attempts, arguments.demonstration)
+    print(json.dumps(found))

@@ -1,0 +1,98 @@
+"""A task -> physics steps a second of ``Simulation.step``, and of MuJoCo's step alone over the same states.
+
+The worlds go through the task's demonstration. Each second of it is made twice, in turns: by the simulation, with
+controller, gaze, contact forces and poses; and by handing the very same states and controls to ``mujoco.rollout``,
+which is ``mj_step`` in a loop in C, on as many threads. Both must end in the same bits.
+"""
+
+import argparse
+import json
+import time
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm.errors import SceneError
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
+from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+
+TURN = 10  # commands, a second
+
+
+class _Recorder:
+    """Stands in for a thread pool: passes rollouts on and keeps what they were asked and what they answered."""
+
+    def __init__(self, pool: Any) -> None:  # noqa: ANN401
+        self.pool, self.calls = pool, []
+
+    def rollout(self, models: Any, data: Any, initial: np.ndarray, control: np.ndarray, **options: Any) -> None:  # noqa: ANN401
+        inputs = (models, data, initial.copy(), control.copy())
+        self.pool.rollout(*inputs, **options)
+        self.calls.append((inputs, options, options["state"].copy()))
+
+
+def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
+    """Return steps a second of both and their ratio.
+
+    Args:
+        task: The task.
+        num_worlds: Worlds stepped together, all alike.
+        num_threads: Of the physics; with one, CPU time is measured, which other processes do not change.
+
+    Raises:
+        SceneError: The two ways end in different states.
+    """
+    clock = time.process_time if num_threads == 1 else time.perf_counter
+    demonstration = demonstrations.load(None, task)
+    sim = Simulation(task, num_worlds, num_threads)
+    sim.restore({name: np.repeat(values, num_worlds, axis=0) for name, values in demonstration.start.items()})
+    commands = np.repeat(demonstration.action[:, None].astype(np.float64), num_worlds, axis=1)
+    seconds = {"simulation": 0.0, "mj_step": 0.0}
+    pool = sim._pool
+    for first in range(0, len(commands), TURN):
+        before, turn = sim.snapshot(), commands[first : first + TURN]
+        recorder = _Recorder(pool)
+        sim._pool = recorder  # pyright: ignore[reportAttributeAccessIssue]
+        for command in turn:
+            sim.step(command)
+        sim._pool = pool
+        sim.restore(before)
+
+        began = clock()
+        for command in turn:
+            sim.step(command)
+        seconds["simulation"] += clock() - began
+
+        began = clock()
+        for inputs, options, _ in recorder.calls:
+            pool.rollout(*inputs, **options)
+        seconds["mj_step"] += clock() - began
+        _, options, recorded = recorder.calls[-1]
+        if not np.array_equal(options["state"], recorded) or not np.array_equal(recorded[:, -1], sim._physics):
+            raise SceneError("other states by MuJoCo's step alone", "the simulation's, bit for bit", "report a bug")
+    sim.close()
+    steps = len(commands) * num_worlds * round(STEP_DT / sim.model.opt.timestep)
+    return {
+        "task": task.name,
+        "num_worlds": num_worlds,
+        "num_threads": num_threads,
+        "steps": steps,
+        "steps_per_s": round(steps / seconds["simulation"]),
+        "mj_steps_per_s": round(steps / seconds["mj_step"]),
+        "step_efficiency": round(seconds["mj_step"] / seconds["simulation"], 4),
+    }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm benchmark simulation``."""
+    parser.add_argument("--task", default="LiftBox", help="name of the task (default: %(default)s)")
+    parser.add_argument("--num-worlds", type=int, default=8, help="stepped together (default: %(default)s)")
+    parser.add_argument("--num-threads", type=int, default=1, help="of the physics (default: %(default)s)")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure; the last line on stdout is the result as JSON."""
+    print(json.dumps(measure(get_task(arguments.task), arguments.num_worlds, arguments.num_threads)))

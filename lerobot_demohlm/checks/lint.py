@@ -1,0 +1,362 @@
+"""A task -> a table of checks of what it calls success and failure, what a policy sees, and what its physics does.
+
+A success condition must be false at every reset, out of reach of a robot that stands still or gets random commands,
+and last in the task's demonstration. The same episodes, the demonstration's replay and its replays from other starts
+are watched for MuJoCo's warnings, for numbers that are not finite or never change, and for things that sink into one
+another. With random commands a robot strikes things, falls over them and throws them down; at such an impact two
+things may be inside each other for an instant by as much as they move in one step of the physics, before the contact is
+found. That depth has a line and a limit of its own, beside the depth that lasts.
+"""
+
+import argparse
+import json
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.envs import observation
+from gym_demohlm.envs.episode import HOLD_S, HOLD_STEPS, max_episode_steps
+from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.robot import g1
+from gym_demohlm.robot.robot import GRIPPER_JOINTS
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
+from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm.checks.overlaps import Overlap, WatchedSimulation
+from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
+from lerobot_demohlm.experiments import lines
+from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.generation.attempt import Attempts
+
+ALL = "all"
+REPLAYS_TOGETHER = 8  # side by side
+MIN_SUCCESS = 0.5  # of the replays
+MAX_DEPTH = 0.005  # m that one thing may be inside another
+IMPACT_SPEED = 5.0  # m/s, of what falls off a table, or of a hand when the robot falls
+MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * g1.PHYSICS_DT
+LEAST_CHANGE = 1e-6  # of a number of the observation over all starts and steps; below it is rounding
+PERIODS = (1, 10)  # steps after which a random command is followed by the next, in turn from world to world
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How thoroughly a task is checked.
+
+    Attributes:
+        num_resets: Starts that are looked at, spread evenly over the task's regions.
+        num_still: Worlds whose robot stands still for the time limit, regions in turn.
+        num_episodes: Worlds whose robot gets uniformly random commands for the time limit, regions in turn; and
+            replays of the demonstration from as many other starts, drawn from the last region, the widest one.
+        seed: Of the starts and the commands.
+        time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
+    """
+
+    num_resets: int = 102
+    num_still: int = 3
+    num_episodes: int = 12
+    seed: int = 0
+    time_limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("num_resets", "num_still", "num_episodes"):
+            if getattr(self, name) < 1:
+                raise DemoHLMError(f"{name}={getattr(self, name)}", "at least 1", "raise it")
+        if self.time_limit_s is not None and not self.time_limit_s > 0:
+            raise DemoHLMError(f"time_limit_s={self.time_limit_s}", "more than 0 s", "raise it")
+        if self.seed < 0:
+            raise DemoHLMError(f"seed={self.seed}", "a seed of at least 0", "raise it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One line of the table.
+
+    Attributes:
+        name: What is checked.
+        got: What was found.
+        expected: What should have been found.
+        ok: Whether that is so.
+        number: What was found, as one number: a count, a time [s] or a depth [mm].
+    """
+
+    name: str
+    got: str
+    expected: str
+    ok: bool
+    number: float
+
+
+def lint(task: Task, demonstration: Demonstration | None, settings: Settings | None = None) -> list[Check]:
+    """Check a task.
+
+    Args:
+        task: The task.
+        demonstration: Of this task, to be replayed; None leaves those checks out.
+        settings: The defaults if not given.
+
+    Returns:
+        The checks in the order of the table; ``Check.name`` says which is which.
+    """
+    settings = settings or Settings()
+    checks = [*_check_resets(task, settings), *_check_episodes(task, settings)]
+    if demonstration is not None:
+        checks += [*_check_demonstration(task, demonstration), *_check_replays(task, demonstration, settings)]
+    return checks
+
+
+def _check_resets(task: Task, settings: Settings) -> list[Check]:
+    generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
+    regions = _regions(task, settings.num_resets)
+    sim = WatchedSimulation(task, settings.num_resets)
+    sim.reset([task.sample(region, generators[region]) for region in regions])
+    sim.watch(np.arange(settings.num_resets))
+    where = f"{settings.num_resets} resets in {', '.join(task.regions)}"
+    checks = [
+        _never("success at a reset", sim.success(), where),
+        _never("failure at a reset", _any_failure(sim), where),
+        _depth_check("depth at a reset", sim.deepest),
+    ]
+    sim.close()
+    return checks
+
+
+def _check_episodes(task: Task, settings: Settings) -> list[Check]:
+    """Run the worlds that stand still and, after them, those with random commands, together.
+
+    A world whose robot falls, or whose physics breaks down, starts again elsewhere, so that each runs for the whole
+    time limit.
+    """
+    num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
+    generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
+    regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
+    sim = WatchedSimulation(task, num_worlds)
+    commands = np.tile(command.rest(), (num_worlds, 1))
+    success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
+    restart, seen = np.arange(num_worlds), []
+    limit_s = settings.time_limit_s
+    num_steps = max_episode_steps(task) if limit_s is None else max(1, round(limit_s / STEP_DT))
+    for step in range(num_steps):
+        if len(restart):
+            sim.reset([task.sample(regions[world], generators[world]) for world in restart], restart)
+        for index, world in enumerate(range(num_still, num_worlds)):
+            if step % PERIODS[index % len(PERIODS)] == 0:
+                commands[world] = generators[world].uniform(command.LOWER, command.UPPER)
+        sim.step(commands)
+        success += sim.success() & ~sim.unstable
+        failure += _any_failure(sim) & ~sim.unstable
+        broken += sim.unstable
+        falls += sim.fallen() & ~sim.unstable
+        restart = np.flatnonzero(sim.fallen() | sim.unstable)
+        seen.append(_observe(sim))
+    sim.close()
+    still, moved = slice(0, num_still), slice(num_still, None)
+    standing = f"{num_still} worlds of {num_steps * STEP_DT:g} s, {falls[still].sum()} falls"
+    random = f"{settings.num_episodes} worlds of {num_steps * STEP_DT:g} s, {falls[moved].sum()} falls"
+    return [
+        _never("success standing still", success[still], standing),
+        _never("failure standing still", failure[still], standing),
+        _never("success by random commands", success[moved], random),
+        *_check_observations(task, np.stack(seen)),
+        _never("MuJoCo warning, NaN or speed", broken, f"{num_worlds} worlds"),
+        _depth_check("depth in these worlds", sim.lasting),
+        _depth_check("depth at impacts in these worlds", sim.deepest, MAX_IMPACT_DEPTH),
+    ]
+
+
+def _check_observations(task: Task, seen: np.ndarray) -> list[Check]:
+    """Check the observations (steps, N, numbers)."""
+    names = np.array([*observation.STATE_NAMES, *observation.environment_names(task)])
+    numbers = seen.reshape(-1, seen.shape[-1])
+    infinite = names[~np.isfinite(numbers).all(axis=0)]
+    constant = set(names[np.ptp(numbers, axis=0) < LEAST_CHANGE])
+    if task.hands == "rubber":  # a hand without a gripper has its place in the observation all the same
+        constant -= {f"{joint}.{kind}" for joint in GRIPPER_JOINTS for kind in ("pos", "vel")}
+    return [
+        _none("observation finite", infinite, "none that is not"),
+        _none("observation changes", constant, "none that never does"),
+    ]
+
+
+def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check]:
+    sim = WatchedSimulation(task)
+    sim.restore(demonstration.start)
+    sim.watch(np.arange(1))
+    success, failure = [], []
+    for action in demonstration.action:
+        sim.step(action[None].astype(np.float64))
+        success.append(bool(sim.success()[0]))
+        failure.append(bool(_any_failure(sim)[0]))
+    runs = _run_lengths(success)
+    longest = max(runs, default=0)
+    spans = ", ".join(f"{length * STEP_DT:.1f} s" for length in runs) or "never"
+    checks = [
+        Check(
+            name="demonstration: success ever",
+            got=spans,
+            expected="once or more",
+            ok=longest > 0,
+            number=len(runs),
+        ),
+        Check(
+            name="demonstration: success at the end",
+            got="yes" if success[-1] else "no",
+            expected="yes",
+            ok=success[-1],
+            number=float(success[-1]),
+        ),
+        Check(
+            name="demonstration: success held",
+            got=f"{longest * STEP_DT:.1f} s",
+            expected=f"{HOLD_S:.1f} s or more",
+            ok=longest >= HOLD_STEPS,
+            number=longest * STEP_DT,
+        ),
+        _never("demonstration: failure", np.array(failure), f"{len(failure)} steps"),
+        _never("demonstration: MuJoCo warning, NaN or speed", sim.unstable, "1 replay"),
+        _depth_check("demonstration: depth", sim.deepest),
+    ]
+    sim.close()
+    return checks
+
+
+def _check_replays(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
+    """Replay the demonstration from other starts, as a generation run of that seed does."""
+    count, region = settings.num_episodes, list(task.regions)[-1]
+    sim, broken = WatchedSimulation(task, min(count, REPLAYS_TOGETHER)), 0
+    attempts = Attempts(task, demonstration, region, settings.seed, sim=sim)
+    outcomes: Counter[str] = Counter()
+    for first in range(0, count, sim.num_worlds):
+        outcomes.update(episode.outcome for episode in attempts.run(range(first, min(first + sim.num_worlds, count))))
+        broken += int(sim.unstable.sum())
+    attempts.close()
+    share = outcomes["success"] / count
+    return [
+        Check(
+            name="replays: success",
+            got=", ".join(f"{number} {outcome}" for outcome, number in outcomes.most_common()) + f" in {region}",
+            expected=f"{MIN_SUCCESS:.0%} or more",
+            ok=share >= MIN_SUCCESS,
+            number=share,
+        ),
+        _never("replays: MuJoCo warning, NaN or speed", np.ones(broken), f"{count} replays"),
+        _depth_check("replays: depth", sim.deepest),
+    ]
+
+
+def _observe(sim: Simulation) -> np.ndarray:
+    """Return all numbers that a policy sees without a camera (N, numbers)."""
+    return np.concatenate([observation.agent_pos(sim), observation.environment_state(sim)], axis=1)
+
+
+def _any_failure(sim: Simulation) -> np.ndarray:
+    return np.any([np.zeros(sim.num_worlds, dtype=bool), *sim.failures().values()], axis=0)
+
+
+def _regions(task: Task, count: int) -> list[str]:
+    """Return so many names of the task's regions, in turn."""
+    names = list(task.regions)
+    return [names[index % len(names)] for index in range(count)]
+
+
+def _run_lengths(values: Sequence[bool]) -> list[int]:
+    """Return how long each unbroken run of True is, in order."""
+    edges = np.flatnonzero(np.diff([0, *map(int, values), 0]))
+    return [int(stop - start) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _never(name: str, found: np.ndarray, where: str) -> Check:
+    count = int(np.count_nonzero(found))
+    return Check(name=name, got=f"{count} in {where}", expected="0", ok=count == 0, number=count)
+
+
+def _none(name: str, found: set[str] | np.ndarray, expected: str) -> Check:
+    got = ", ".join(sorted(map(str, found))) or "none"
+    return Check(name=name, got=got, expected=expected, ok=len(found) == 0, number=len(found))
+
+
+def _depth_check(name: str, overlap: Overlap, limit: float = MAX_DEPTH) -> Check:
+    got = f"{1000 * overlap.depth:.1f} mm" + (f", {overlap.where}" if overlap.depth > limit else "")
+    return Check(
+        name=name,
+        got=got,
+        expected=f"{1000 * limit:g} mm or less",
+        ok=overlap.depth <= limit,
+        number=round(1000 * overlap.depth, 2),
+    )
+
+
+def format_table(title: str, checks: Sequence[Check]) -> str:
+    """Return the checks as lines of text in four columns: check, got, expected, ok."""
+    rows = [("check", "got", "expected", "ok")]
+    rows += [(check.name, check.got, check.expected, "yes" if check.ok else "NO") for check in checks]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    lines = [
+        "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[3]]) for row in rows
+    ]
+    return "\n".join([title, *lines])
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm lint-task``."""
+    defaults = Settings()
+    parser.add_argument("task", help=f"name of the task, such as LiftBox, or {ALL!r}")
+    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
+    parser.add_argument("--no-demonstration", action="store_true", help="leave out what needs a demonstration")
+    parser.add_argument("--num-resets", type=int, default=defaults.num_resets, help="starts (default: %(default)s)")
+    parser.add_argument(
+        "--num-still", type=int, default=defaults.num_still, help="worlds standing still (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--num-episodes",
+        type=int,
+        default=defaults.num_episodes,
+        help="with random commands, and replays from other starts (default: %(default)s)",
+    )
+    parser.add_argument("--time-limit-s", type=float, help="of worlds (default: the task's own time limit)")
+    parser.add_argument("--seed", type=int, default=defaults.seed, help="of starts and commands (default: %(default)s)")
+    parser.add_argument("--results", type=Path, help="folder of JSON lines, to whose lint.jsonl one a task is added")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Print a table a task, then one line of JSON with the number of each check; exit code 1 where a check failed."""
+    settings = Settings(
+        num_resets=arguments.num_resets,
+        num_still=arguments.num_still,
+        num_episodes=arguments.num_episodes,
+        seed=arguments.seed,
+        time_limit_s=arguments.time_limit_s,
+    )
+    everything = arguments.task == ALL
+    if everything and arguments.root is not None:
+        raise DemoHLMError(f"--root with {ALL!r}", "one task", "name the task of that demonstration")
+    failed: dict[str, list[str]] = {}
+    found: dict[str, dict[str, float]] = {}
+    for task in all_tasks().values() if everything else [get_task(arguments.task)]:
+        demonstration = None if arguments.no_demonstration else load(arguments.root, task)
+        began = time.process_time()
+        checks = lint(task, demonstration, settings)
+        failed[task.name] = [check.name for check in checks if not check.ok]
+        found[task.name] = {check.name: check.number for check in checks}
+        found[task.name]["CPU time"] = round(time.process_time() - began, 1)
+        print(format_table(task.name, checks), end="\n\n", flush=True)
+        if arguments.results is not None:
+            line = {"task": task.name, **asdict(settings), "failed": failed[task.name], "found": found[task.name]}
+            line["stamp"] = stamp(task.name)
+            lines.append(arguments.results / "lint.jsonl", _command(task, settings), line)
+    ok = not any(failed.values())
+    print(json.dumps({"ok": ok, "failed": failed, "found": found, **asdict(settings)}))
+    return 0 if ok else 1
+
+
+def _command(task: Task, settings: Settings) -> str:
+    """Return the call that makes a line of results."""
+    defaults = asdict(Settings())
+    changed = {name: value for name, value in asdict(settings).items() if value != defaults[name]}
+    options = [f"--{name.replace('_', '-')} {value}" for name, value in changed.items()]
+    return " ".join(["demohlm lint-task", task.name, *options])

@@ -1,0 +1,184 @@
+"""The code as it is -> digests of what it computes: equal on every processor, and changed by whatever changes results.
+
+``parts`` digests the controller, inverse kinematics, the physics and one whole attempt, each on its own, so that a
+difference names where it comes from. ``behaviour`` digests what generation does with a task: the stamp of results.
+The digests that this version of the code has are in ``digests.json``, with the versions of the libraries.
+"""
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.control.ik import WholeBodyIK
+from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.registry import get_task
+from gym_demohlm.robot import g1
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.generation.attempt import GENERATION_STREAM, Attempts
+from lerobot_demohlm.generation.stages import Settings
+from lerobot_demohlm.reproducibility import provenance
+
+PACKAGED = Path(__file__).parent / "digests.json"
+PACKAGES = ("mujoco", "numpy", "placo", "eigenpy")
+"""Libraries whose version decides bits; the C library is the other one."""
+_TICKS, _WORLDS, _SOLUTIONS, _STEPS = 60, 5, 40, 10
+_PROBE = "LiftBox"  # the task of the parts
+_ATTEMPTS = 2  # of a behaviour
+
+
+def parts() -> dict[str, str]:
+    """Return the digest of each part of the pipeline, by name, in the order in which the parts build on each other."""
+    makers: dict[str, Callable[[], Iterable[bytes]]] = {
+        "controller": _controller,
+        "inverse kinematics": _inverse_kinematics,
+        "physics": _physics,
+        "attempt": lambda: _attempts(get_task(_PROBE), 1),
+    }
+    return {name: _digest(make()) for name, make in makers.items()}
+
+
+@functools.cache
+def _behaviour(name: str) -> str:
+    task = get_task(name)
+
+    def content() -> Iterable[bytes]:
+        rng = np.random.default_rng(0)
+        for region in sorted(task.regions):
+            yield repr(sorted(task.region(region).sample(rng).items())).encode()
+        yield repr((task.episode_length_s, task.description)).encode()
+        yield from _attempts(task, _ATTEMPTS)
+
+    return _digest(content())
+
+
+def behaviour(task: Task) -> str:
+    """Return the digest of what generation does with a task: its starts, and two attempts as they are made by default.
+
+    It sees the physics, the robot, the controller, the demonstration, the settings and the task's conditions by what
+    they do; names, comments and the place of the code change nothing.
+    """
+    return _behaviour(task.name)
+
+
+def stamp(task: Task) -> str:
+    """Return eight letters that stand for a task's behaviour in results: packaged, or found where they are not."""
+    known = packaged()["tasks"].get(task.name)
+    return (known or behaviour(task))[:8]
+
+
+def versions() -> dict[str, str]:
+    """Return what decides bits besides this package's code: versions of libraries, kind of machine."""
+    found = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {**found, "libc": " ".join(platform.libc_ver()).strip() or "unknown", "machine": platform.machine()}
+
+
+def packaged() -> dict[str, Any]:
+    """Return what ``digests.json`` holds: ``versions``, ``parts`` and, by task, ``tasks``.
+
+    Raises:
+        DatasetError: The file is missing or damaged.
+    """
+    try:
+        content = json.loads(PACKAGED.read_text())
+        return {key: dict(content[key]) for key in ("versions", "parts", "tasks")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(
+            f"{PACKAGED.name} that cannot be read ({error})", "digests", "reinstall the package"
+        ) from None
+
+
+def differing_versions() -> tuple[str, ...]:
+    """Return what differs between this machine's versions and those of the packaged digests, a line each."""
+    return compare_versions(packaged()["versions"], versions())
+
+
+def compare_versions(then: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
+    """Return what differs between two results of ``versions``, a line each."""
+    return tuple(f"{name} {then.get(name)} then, {now[name]} now" for name in now if then.get(name) != now[name])
+
+
+def _digest(content: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for piece in content:
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _sensors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return made-up proprioception of robots about their home pose: quaternion, gyro, positions, velocities."""
+    quat_wxyz = np.array([1.0, 0.0, 0.0, 0.0]) + 0.05 * rng.uniform(-1, 1, (count, 4))
+    quat_wxyz /= np.sqrt((quat_wxyz**2).sum(axis=1, keepdims=True))
+    joints = len(g1.BODY_JOINTS)
+    return (
+        quat_wxyz,
+        rng.uniform(-0.5, 0.5, (count, 3)),
+        g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
+        rng.uniform(-1, 1, (count, joints)),
+    )
+
+
+def _controller() -> Iterable[bytes]:
+    rng, controller = np.random.default_rng(1), WholeBodyController(_WORLDS)
+    controller.reset(np.arange(_WORLDS), *_sensors(rng, _WORLDS))
+    low, high = command.LOWER, command.UPPER
+    for tick in range(_TICKS):
+        if tick % 20 == 0:
+            commands = low + rng.random((_WORLDS, command.SIZE)) * (high - low)
+            commands[: _WORLDS // 2, command.VELOCITY] = 0.0
+        yield controller.step(*_sensors(rng, _WORLDS), commands).tobytes()
+    yield controller.state.tobytes()
+
+
+def _inverse_kinematics() -> Iterable[bytes]:
+    rng, sim = np.random.default_rng(2), Simulation(get_task(_PROBE))
+    solver, previous = WholeBodyIK(sim.model), command.rest()
+    hands = [sim.pose(f"{side}_palm")[0] for side in g1.SIDES]
+    for _ in range(_SOLUTIONS):
+        targets = [hand.copy() for hand in hands]
+        for target in targets:
+            target[:3, 3] += rng.uniform(-0.3, 0.3, 3)
+        solution = solver.solve(
+            T_world_pelvis=sim.pose("pelvis")[0],
+            joint_positions=g1.HOME,
+            T_world_left=targets[0],
+            T_world_right=targets[1],
+            previous=previous,
+        )
+        previous = solution.command
+        yield previous.tobytes() + solution.position_error.tobytes()
+    sim.close()
+
+
+def _physics() -> Iterable[bytes]:
+    rng, sim = np.random.default_rng(3), Simulation(get_task(_PROBE), num_worlds=2)
+    yield provenance.model_hash(sim.model).encode()
+    for _ in range(_STEPS):
+        commands = np.tile(command.rest(), (2, 1))
+        commands[:, command.ARMS] += rng.uniform(-0.3, 0.3, commands[:, command.ARMS].shape)
+        sim.step(commands)
+        for _, values in sorted(sim.snapshot().items()):
+            yield values.tobytes()
+    sim.close()
+
+
+def _attempts(task: Task, count: int) -> Iterable[bytes]:
+    """Yield what attempts of a task come to: its packaged demonstration, R3, seed 0, commands with noise."""
+    settings = Settings(command_noise=1.0)
+    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=settings)
+    try:
+        for episode in attempts.run(range(count)):
+            yield f"{episode.digest} {episode.outcome} {episode.stage} {GENERATION_STREAM}".encode()
+            yield episode.success.tobytes() + episode.state.tobytes() + episode.environment_state.tobytes()
+    finally:
+        attempts.close()

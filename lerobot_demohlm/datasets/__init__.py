@@ -1,0 +1,1 @@
+"""Generated episodes as LeRobot datasets: written, merged, read again and pushed."""

@@ -1,0 +1,203 @@
+"""A generation run -> the facts and records that a dataset keeps of it; without torch or lerobot.
+
+What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py`` and
+``generation_block.py``, which import lerobot only where they write or merge, through ``dataset_files.py``):
+
+1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
+2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
+3. ``GenerationRun.open(root, repo_id, facts)``: starts the run or resumes a killed one. Raises ``DatasetError``
+   where ``root`` exists, or where ``<root>.partial`` was begun with other facts. Nothing is at ``root`` until the end.
+4. Attempts are cut into blocks of ``facts.block_size`` consecutive ones. ``run.pending_blocks()`` yields the
+   ``range`` of attempt indices of every block that is not on disk, in order, while the target is not met.
+5. ``write_block(run.directory, facts, attempts, episodes)`` writes one block as a small finalized dataset. Callable
+   from any process; the block appears by one rename, so ``kill -9`` loses only blocks still being computed.
+6. ``run.finish(progress)`` merges the blocks in the order of the attempts, whatever worker computed them, drops what
+   lies past the target, writes ``meta/demohlm.json``, ``meta/demohlm_attempts.jsonl`` and the card, and renames it to
+   ``root``.
+
+Only successful episodes are frames of the dataset; every attempt, failed ones included, is a line of
+``meta/demohlm_attempts.jsonl``. With ``facts.keep_failures`` failed attempts that have frames become a second dataset,
+``<root>-failures``. The rows of ``meta/episodes`` say of each episode which attempt it was, how and in which stage it
+ended (``Episode.labels``), so LeRobot reads and filters them:
+``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``. With ``facts.command_noise`` they also
+hold the commands as executed, (T, 23) float32; the actions of the frames are those that were planned.
+"""
+
+import importlib.metadata
+import json
+import math
+import platform
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.episode import OUTCOMES
+from lerobot_demohlm.reproducibility import provenance
+
+ROBOT_TYPE = "unitree_g1"
+FORMAT_VERSION = 1  # of meta/demohlm.json and meta/demohlm_attempts.jsonl
+FACTS_PATH = Path("meta/demohlm.json")
+ATTEMPTS_PATH = Path("meta/demohlm_attempts.jsonl")
+_FACT_TYPES = {
+    **dict.fromkeys(("task", "task_text", "region", "demonstration_hash", "controller_hash", "model_hash"), str),
+    **dict.fromkeys(("seed", "block_size", "attempts", "successes"), int),
+    **dict.fromkeys(("versions", "outcomes"), dict),
+    "success_rate": float,
+}
+_RECORD_TYPES = {
+    **dict.fromkeys(("stage", "reason", "digest"), str),
+    **dict.fromkeys(("stage_s", "initial_state"), dict),
+    "length_s": float | int,
+}
+_RECORDED_PACKAGES = ("lerobot_env_demohlm", "lerobot", "mujoco", "numpy", "placo", "torch")
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of what decides, bit for bit, what an episode is: packages, Python, family of processors."""
+    versions = {name: importlib.metadata.version(name) for name in _RECORDED_PACKAGES}
+    return versions | {"python": platform.python_version(), "cpu": provenance.cpu_family()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerationFacts:
+    """What a generation run is a function of; written to ``meta/demohlm.json``."""
+
+    task: str
+    task_text: str
+    region: str
+    seed: int
+    demonstration_hash: str
+    controller_hash: str
+    model_hash: str
+    num_episodes: int | None = None
+    """Target: stop at this many successes (attempts after the last of them do not count)."""
+    num_attempts: int | None = None
+    """Target: make exactly this many attempts. One of the two targets is given."""
+    block_size: int = 8
+    """Attempts a block: what one worker computes and finalizes at once."""
+    keep_failures: bool = False
+    retries: int = 0
+    """How often an attempt may begin again after a stage that failed (``generation.stages.Settings``)."""
+    command_noise: float = 0.0
+    """Scale of the noise that commands carry when they are executed, recorded without it (likewise)."""
+    start_spread: float = 1.0
+    """Factor by which the region's ranges of the robot's pose are widened (likewise)."""
+    stance_spread: float = 0.0
+    """Scale of how far the place is off from which the robot acts on the object (likewise)."""
+    versions: dict[str, str] = field(default_factory=installed_versions)
+    format_version: int = FORMAT_VERSION
+
+    def __post_init__(self) -> None:
+        """Check the target, the block size and how the data is varied."""
+        targets = [target for target in (self.num_episodes, self.num_attempts) if target is not None]
+        if len(targets) != 1 or targets[0] < 1 or self.block_size < 1:
+            raise DatasetError(
+                f"num_episodes={self.num_episodes}, num_attempts={self.num_attempts}, block_size={self.block_size}",
+                "one of the two targets, at least 1, and blocks of at least 1",
+                "give --num-episodes or --num-attempts",
+            )
+        lowest = {"command_noise": 0.0, "start_spread": 1.0, "stance_spread": 0.0}
+        for name, low in lowest.items():
+            if not low <= getattr(self, name) < math.inf:
+                raise DatasetError(
+                    f"{name}={getattr(self, name)}", f"{low:g} or more", f"correct --{name.replace('_', '-')}"
+                )
+
+
+def require_new_root(root: Path) -> None:
+    """Raise ``DatasetError`` where the root exists: a dataset is never written over another one."""
+    if root.exists():
+        raise DatasetError(f"the root {root}, which exists", "a path that does not exist", "choose another --root")
+
+
+def count_outcomes(records: Iterable[dict[str, Any]]) -> dict[str, int]:
+    """Count attempts by outcome, every outcome named, in the order of ``OUTCOMES``."""
+    counts = Counter(record["outcome"] for record in records)
+    return {outcome: counts[outcome] for outcome in OUTCOMES}
+
+
+def count_attempts(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return what ``meta/demohlm.json`` says of attempts, one or more: how many, and how they ended."""
+    outcomes = count_outcomes(records)
+    return {
+        "attempts": len(records),
+        "successes": outcomes["success"],
+        "success_rate": outcomes["success"] / len(records),
+        "outcomes": outcomes,
+        "first_try_successes": count_outcomes(record for record in records if not record.get("retries"))["success"],
+    }
+
+
+def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
+    content = asdict(facts) | {"code_hash": provenance.code_hash()} | count_attempts(records)
+    (root / FACTS_PATH).write_text(json.dumps(content, indent=2) + "\n")
+    (root / ATTEMPTS_PATH).write_text("".join(json.dumps(record) + "\n" for record in records))
+    return content
+
+
+def read_facts(root: Path) -> dict[str, Any]:
+    """Return a dataset's ``meta/demohlm.json``.
+
+    Raises:
+        DatasetError: There is no such dataset, it is not one of this project, or another version wrote it.
+    """
+    path = Path(root) / FACTS_PATH
+    if not path.is_file():
+        raise DatasetError(f"{root} without {FACTS_PATH}", "a dataset that `demohlm generate` wrote", "check --root")
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}, damaged ({error})", "a JSON object", "generate the dataset again") from error
+    version = content.get("format_version") if isinstance(content, dict) else None
+    if version != FORMAT_VERSION:
+        raise DatasetError(
+            f"{path} of format version {version}",
+            f"format version {FORMAT_VERSION}",
+            "generate the dataset again, or install the version of lerobot_env_demohlm that wrote it",
+        )
+    wrong = [name for name, kind in _FACT_TYPES.items() if not isinstance(content.get(name), kind)]
+    if wrong:
+        raise DatasetError(f"{path}, damaged ({', '.join(wrong)})", "the facts of a run", "generate the dataset again")
+    return content
+
+
+def read_attempts(root: Path) -> list[dict[str, Any]]:
+    """Return the lines of a dataset's ``meta/demohlm_attempts.jsonl``: every attempt, failed ones included.
+
+    Raises:
+        DatasetError: There is no such file, it is damaged, or a version wrote it that kept less of an attempt.
+    """
+    path = Path(root) / ATTEMPTS_PATH
+    records = read_records(path)
+    wrong = {
+        name for record in records for name, kind in _RECORD_TYPES.items() if not isinstance(record.get(name), kind)
+    }
+    if wrong:
+        raise DatasetError(
+            f"{path} without {', '.join(sorted(wrong))}", "attempts as this version keeps them", "generate them again"
+        )
+    return records
+
+
+def read_records(path: Path) -> list[dict[str, Any]]:
+    """Return what ``Episode.record`` gave, one a line.
+
+    Raises:
+        DatasetError: There is no such file, or it is damaged.
+    """
+    try:
+        records = [json.loads(line) for line in path.read_text().splitlines()]
+        sound = all(isinstance(record, dict) for record in records) and all(
+            record["outcome"] in OUTCOMES
+            and all(type(record[key]) is int and record[key] >= 0 for key in ("attempt", "frames"))
+            for record in records
+        )
+    except (OSError, ValueError, KeyError, RecursionError) as error:
+        raise DatasetError(f"{path} ({error})", "one attempt a line", "generate the dataset again") from error
+    if not sound:
+        raise DatasetError(f"{path}, damaged", "one attempt a line", "generate the dataset again")
+    return records

@@ -1,0 +1,75 @@
+"""A dataset on disk -> a dataset repository on the Hugging Face hub, with this project's card."""
+
+import argparse
+from pathlib import Path
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.facts import read_facts
+
+
+def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str | None = None) -> str:
+    """Upload a dataset in one commit and tag it with LeRobot's dataset version, as ``LeRobotDataset.push_to_hub`` does.
+
+    LeRobot's own method would put its general card in place of ours. The endpoint and the token are the hub client's:
+    ``HF_ENDPOINT``, ``HF_TOKEN`` or ``hf auth login``.
+
+    Args:
+        root: Root of the dataset.
+        repo_id: ``user/name``.
+        private: Whether a new repository is private; None: the account's default.
+        branch: Branch to push to; None: the main one.
+
+    Returns:
+        URL of the repository.
+
+    Raises:
+        DatasetError: The dataset cannot be opened, another version wrote it, or the hub refused it.
+    """
+    facts = read_facts(root)
+    if repo_id.count("/") != 1 or not all(repo_id.split("/")):
+        raise DatasetError(f"repo id {repo_id!r}", "user/name", "correct --repo-id")
+
+    import httpx
+    from huggingface_hub import HfApi
+    from huggingface_hub.errors import HfHubHTTPError, HFValidationError, RevisionNotFoundError
+    from lerobot.datasets import LeRobotDatasetMetadata
+    from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
+
+    from lerobot_demohlm.datasets.card import render_card
+
+    meta = LeRobotDatasetMetadata(repo_id, root=root)
+    (Path(root) / "README.md").write_text(render_card(meta, repo_id, facts))
+    api = HfApi()
+    message = f"{facts['task']}, {facts['region']}: {meta.total_episodes} episodes"
+    try:
+        url = api.create_repo(repo_id, repo_type="dataset", private=private, exist_ok=True)
+        if branch is not None:
+            api.create_branch(repo_id, branch=branch, repo_type="dataset", exist_ok=True)
+        api.upload_folder(
+            repo_id=repo_id, folder_path=root, repo_type="dataset", revision=branch, commit_message=message
+        )
+        try:
+            api.delete_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")
+        except RevisionNotFoundError:
+            pass  # a first push has no tag to move
+        api.create_tag(repo_id, tag=CODEBASE_VERSION, revision=branch, repo_type="dataset")
+    except (HfHubHTTPError, HFValidationError, httpx.TransportError, OSError) as error:
+        raise DatasetError(
+            f"{type(error).__name__} from {api.endpoint}: {' '.join(str(error).split())}",
+            "a hub that accepts the dataset",
+            "check the network, the repo id, and `hf auth login`",
+        ) from error
+    return str(url)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm push``."""
+    parser.add_argument("--root", type=Path, required=True, help="dataset of `demohlm generate`")
+    parser.add_argument("--repo-id", required=True, help="name on the hub, user/name")
+    parser.add_argument("--branch", help="branch to push to (default: the main one)")
+    parser.add_argument("--private", action="store_true", default=None, help="make a new repository a private one")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Push a dataset; the last line on stdout is its address."""
+    print(push(arguments.root, arguments.repo_id, private=arguments.private, branch=arguments.branch))

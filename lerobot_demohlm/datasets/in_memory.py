@@ -1,0 +1,140 @@
+"""A generated dataset without images -> LeRobot's own samples from memory, a batch by one indexing operation a column.
+
+LeRobot reads a sample with a chunk of 20 actions in milliseconds, so a batch of 512 takes many times a training step
+of the MLP. Here the columns are tensors, and torch's loader gets a batch that is stacked already.
+
+``install`` makes ``lerobot-train`` open such datasets this way, also in loader processes; LeRobot's plugin mechanism
+calls it. Any other dataset is read as before, and ``DEMOHLM_IN_MEMORY=0`` in the environment leaves them all alone.
+"""
+
+import copy
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.datasets import LeRobotDataset, factory
+from lerobot.datasets.compute_stats import get_feature_stats
+from torch.utils.data import default_collate
+from torch.utils.data._utils.collate import default_collate_fn_map
+
+from lerobot_demohlm.datasets.facts import FACTS_PATH
+from lerobot_demohlm.datasets.writer import to_numpy
+
+SWITCH = "DEMOHLM_IN_MEMORY"
+STD_FLOOR = 0.01
+"""Smallest standard deviation a dataset in memory states, in each dimension's own unit (rad, rad/s, m, ...).
+
+A gripper that never moves has one of 1e-8: LeRobot's policies would see a deviation of a milliradian as 1e5.
+"""
+
+
+class Sample(dict[str, Any]):
+    """One sample of a ``Batch``; torch stacks a list of them as it stacks dictionaries."""
+
+
+class Batch(Sequence[Sample]):
+    """Samples that are stacked already: torch's ``default_collate`` takes the columns as they are.
+
+    Args:
+        columns: (B, ...) tensors, or lists of B strings, by name.
+    """
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self.columns = columns
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401
+        """Return one sample, or a list of them for a slice."""
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        return Sample({name: column[index] for name, column in self.columns.items()})
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[index] for index in range(len(self)))
+
+
+def _stack(samples: Sequence[Sample], *, collate_fn_map: object = None) -> dict[str, Any]:
+    return dict(samples.columns) if isinstance(samples, Batch) else default_collate([dict(each) for each in samples])
+
+
+default_collate_fn_map[Sample] = _stack  # torch's way to teach its loader a type
+
+
+class InMemoryDataset(LeRobotDataset):
+    """A LeRobot dataset that holds its columns in memory, if `demohlm generate` wrote it and it has no images.
+
+    Samples equal those of ``LeRobotDataset`` with the same arguments. Statistics differ twice: standard deviations have
+    a floor (``STD_FLOOR``), and where some of the episodes are chosen, the statistics are of those, so that a policy
+    trained on the first hundred knows nothing of the others.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
+        """Open it as ``LeRobotDataset`` does, with the same arguments."""
+        super().__init__(*args, **kwargs)
+        self.is_held = (self.root / FACTS_PATH).is_file() and not self.meta.camera_keys
+        if not self.is_held:
+            return
+        table: Any = self.hf_dataset.with_format("arrow")[:]
+        columns = {name: to_numpy(table.column(name)) for name in table.column_names}
+        self._columns = {name: torch.from_numpy(values.copy()) for name, values in columns.items()}
+        self._tasks = list(self.meta.tasks.index)  # pyright: ignore[reportOptionalMemberAccess]
+        deltas = self.reader.delta_indices or {}
+        self._deltas = {key: torch.as_tensor(steps) for key, steps in deltas.items()}
+        _, episode, lengths = torch.unique_consecutive(
+            self._columns["episode_index"], return_inverse=True, return_counts=True
+        )
+        stops = lengths.cumsum(0)
+        self._starts, self._stops = (stops - lengths)[episode], stops[episode]  # (num_frames,) of each frame's episode
+        self.meta = copy.copy(self.meta)
+        self.meta.stats = _floored(self._stats(columns))
+
+    def _stats(self, columns: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+        """Return the statistics of the episodes that were chosen."""
+        stats = dict(self.meta.stats or {})
+        if self.episodes is not None:
+            for name in stats.keys() & columns.keys():
+                values = columns[name]
+                if values.dtype.kind == "f":
+                    stats[name] = get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+        return stats
+
+    def __getitems__(self, indices: Sequence[int]) -> Sequence[Any]:
+        """Return the samples at these indices; what torch's loader asks for where it exists."""
+        if not self.is_held:
+            return [super(InMemoryDataset, self).__getitem__(index) for index in indices]
+        rows = torch.as_tensor(indices)
+        batch: dict[str, Any] = {
+            name: column[rows] for name, column in self._columns.items() if name not in self._deltas
+        }
+        starts, stops = self._starts[rows, None], self._stops[rows, None]
+        for key, deltas in self._deltas.items():
+            wanted = rows[:, None] + deltas  # (B, num_deltas)
+            batch[f"{key}_is_pad"] = (wanted < starts) | (wanted >= stops)
+            batch[key] = self._columns[key][torch.minimum(torch.maximum(wanted, starts), stops - 1)]
+        batch["task"] = [self._tasks[index] for index in batch["task_index"].tolist()]
+        return Batch(batch)
+
+    def __getitem__(self, idx: int | slice) -> Any:  # noqa: ANN401
+        """Return one sample, or several for a slice."""
+        if not self.is_held:
+            return super().__getitem__(idx)
+        if isinstance(idx, slice):
+            return list(self.__getitems__(range(*idx.indices(len(self)))))
+        return dict(self.__getitems__([idx])[0])
+
+
+def _floored(stats: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, np.ndarray]]:
+    return {
+        key: {name: np.maximum(value, STD_FLOOR) if name == "std" else value for name, value in entry.items()}
+        for key, entry in stats.items()
+    }
+
+
+def install() -> None:
+    """Let LeRobot's training open datasets as ``InMemoryDataset``, unless the environment's switch says 0."""
+    if os.environ.get(SWITCH, "1") != "0":
+        factory.LeRobotDataset = InMemoryDataset  # pyright: ignore[reportPrivateImportUsage]

@@ -1,0 +1,1 @@
+"""Recordings of an operator: made, kept, repeated bit for bit, and cut into segments at their contacts."""

@@ -1,0 +1,299 @@
+"""A demonstration -> contact events -> for each hand, the segments in which it follows an object or the robot.
+
+Before a hand touches an object it follows the object (pre-manipulation); from the touch on it follows the robot
+(manipulation), until it lets go and heads for another object. A gripper that closes just before it
+presses begins that touch. Hands that take one object at about the same time switch together. A hand that takes an
+object out of the other's follows it anew from where the other has brought it to rest. Once the demonstration walks,
+hands that hold something follow the base.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
+from gym_demohlm.control import command
+from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.registry import get_task
+from gym_demohlm.robot import g1
+from gym_demohlm.task import MotionFrame
+from lerobot_demohlm.demonstrations.demonstration import (
+    CONTACT_FORCE_N,
+    CORRECTIONS_PATH,
+    Demonstration,
+    default_root,
+    load,
+    require_contact,
+)
+from lerobot_demohlm.demonstrations.segments import ANCHORS, Anchor, Event, Segment
+
+CONTACT_TICKS = 2  # a touch or a release counts once it has lasted this long (0.2 s)
+TOGETHER_TICKS = 8  # hands that take one object within this time act together (0.8 s)
+RETOUCH_TICKS = 6  # a hand that lets go of an object and touches it again within this time has not let go (0.6 s)
+GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
+_ANCHOR_OF: dict[MotionFrame, Anchor] = {"robot": "body", "hands": "eef_heading", "scene": "eef"}
+REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
+MIN_REST_TICKS = 3
+
+
+def _runs(active: np.ndarray, min_ticks: int) -> list[tuple[int, int]]:
+    """Return [start, stop) of the stretches in which a flag (T,) holds, shorter gaps and then shorter runs dropped."""
+
+    def stretches(flags: np.ndarray) -> list[tuple[int, int]]:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+        return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+    filled = active.copy()
+    for start, stop in stretches(~active):
+        if stop - start < min_ticks and start > 0 and stop < len(active):
+            filled[start:stop] = True
+    return [(start, stop) for start, stop in stretches(filled) if stop - start >= min_ticks]
+
+
+def contact_events(
+    contact_forces: np.ndarray,
+    pairs: Sequence[tuple[str, str]],
+    force_n: float = CONTACT_FORCE_N,
+    min_ticks: int = CONTACT_TICKS,
+) -> list[Event]:
+    """Return touches and releases in the order of time.
+
+    Args:
+        contact_forces: (T, P) normal forces [N].
+        pairs: P pairs of hand and object.
+        force_n: A hand touches from this force on [N].
+        min_ticks: A touch, or the gap after it, counts once it has lasted this many ticks.
+    """
+    events = []
+    for column, (hand, name) in enumerate(pairs):
+        for start, stop in _runs(contact_forces[:, column] >= force_n, min_ticks):
+            events.append(Event(tick=start, hand=hand, kind="touch", object=name))
+            if stop < len(contact_forces):
+                events.append(Event(tick=stop, hand=hand, kind="release", object=name))
+    return sorted(events, key=lambda event: (event.tick, event.hand, event.kind))
+
+
+def gripper_events(action: np.ndarray) -> list[Event]:
+    """Return when gripper commands (T, 23) close and open."""
+    events = []
+    for column, hand in enumerate(g1.SIDES):
+        closed = action[:, command.GRIPPERS][:, column] >= GRIPPER_CLOSED
+        for tick in np.flatnonzero(np.diff(closed.astype(np.int8))) + 1:
+            events.append(Event(tick=int(tick), hand=hand, kind="close" if closed[tick] else "open"))
+    return sorted(events, key=lambda event: (event.tick, event.hand))
+
+
+def events(demonstration: Demonstration) -> list[Event]:
+    """Return all contact and gripper events of a demonstration in the order of time."""
+    task = get_task(demonstration.task)
+    found = contact_events(demonstration.contact_forces, task.contact_pairs)
+    if task.hands == "gripper":
+        found += gripper_events(demonstration.action)
+    return sorted(found, key=lambda event: (event.tick, event.hand, event.kind))
+
+
+def segment(demonstration: Demonstration) -> list[Segment]:
+    """Cut a demonstration into segments: by its contacts, or as its hand-made corrections say.
+
+    Returns:
+        Segments ordered by hand and time; those of a hand cover [0, T) without gaps.
+
+    Raises:
+        DemonstrationError: No hand touches anything, or the corrections do not fit.
+    """
+    require_contact(demonstration)
+    if demonstration.corrections is not None:
+        return _corrected(demonstration)
+    length = len(demonstration)
+    found = events(demonstration)
+    switches = {hand: _switches([event for event in found if event.hand == hand]) for hand in g1.SIDES}
+    switches = _together(switches)
+    frame = get_task(demonstration.task).motion_frame
+    anchor = _ANCHOR_OF[frame]
+    tracks = {hand: _track(hand, switches[hand], length, anchor) for hand in g1.SIDES}
+    segments = []
+    for hand, other in zip(g1.SIDES, reversed(g1.SIDES), strict=True):
+        taken_over = _cut_at_rest(demonstration, tracks[hand], switches[other])
+        segments += _cut_at_steps(demonstration, taken_over)
+    return segments
+
+
+def _cut_at_rest(
+    demonstration: Demonstration, track: list[Segment], others: list[tuple[int, int | None, str]]
+) -> list[Segment]:
+    """Cut approaches to an object that the other hand takes first at the tick at which it is brought to rest."""
+    names = [entry.name for entry in get_task(demonstration.task).objects]
+    cut = []
+    for entry in track:
+        taken = [tick for tick, _, name in others if name == entry.object and entry.start <= tick < entry.stop]
+        if entry.kind == "object" and taken:
+            assert entry.object is not None  # object segments have one
+            T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
+            distance = norm(T[:, :3, 3] - T[-1, :3, 3])
+            angle = norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T))
+            moving = np.flatnonzero((distance > REST_M) | (angle > REST_RAD))
+            rest = int(moving[-1]) + 1 if len(moving) else entry.start
+            if max(taken) < rest <= entry.stop - MIN_REST_TICKS:
+                cut += [replace(entry, stop=rest), replace(entry, start=rest)]
+                continue
+        cut.append(entry)
+    return cut
+
+
+def _cut_at_steps(demonstration: Demonstration, track: list[Segment]) -> list[Segment]:
+    """Cut the motion of hands where the robot begins to walk; from there on they follow the base.
+
+    Also once it stands again: hands told to stay in the world, on a cart that rolls, would have the torso lean after
+    them while the leaning moves the base back.
+    """
+    walks = np.abs(demonstration.action[:, command.VELOCITY]).max(axis=1) > 0.0
+    cut = []
+    for entry in track:
+        steps = entry.start + np.flatnonzero(walks[entry.start : entry.stop])
+        if entry.kind == "object" or not len(steps):
+            cut.append(entry)
+            continue
+        first = int(steps[0])
+        if first > entry.start:
+            cut.append(replace(entry, stop=first))
+        cut.append(replace(entry, start=first, anchor="base"))
+    return cut
+
+
+def _switches(found: list[Event]) -> list[tuple[int, int | None, str]]:
+    """Return (touch, release, object) of a hand; a gripper closing just before or during a touch brings it forward."""
+    touches = [event for event in found if event.kind == "touch"]
+    switches: list[tuple[int, int | None, str]] = []
+    for event in touches:
+        releases = [e.tick for e in found if e.kind == "release" and e.object == event.object and e.tick > event.tick]
+        release = min(releases, default=None)
+        closing = [e.tick for e in found if e.kind == "close" and 0 <= event.tick - e.tick <= TOGETHER_TICKS]
+        assert event.object is not None  # touches have one
+        if switches and switches[-1][2] == event.object:
+            touch, let_go, name = switches[-1]
+            if let_go is not None and event.tick - let_go <= RETOUCH_TICKS:
+                switches[-1] = (touch, release, name)
+                continue
+        switches.append((min([event.tick, *closing]), release, event.object))
+    return switches
+
+
+def _together(
+    switches: dict[str, list[tuple[int, int | None, str]]],
+) -> dict[str, list[tuple[int, int | None, str]]]:
+    """Let hands that take one object at about the same time switch at the first touch."""
+    together = {hand: list(found) for hand, found in switches.items()}
+    for i, (touch, release, name) in enumerate(switches["left"]):
+        for j, (other, other_release, other_name) in enumerate(switches["right"]):
+            if name == other_name and abs(touch - other) <= TOGETHER_TICKS:
+                together["left"][i] = (min(touch, other), release, name)
+                together["right"][j] = (min(touch, other), other_release, name)
+    return together
+
+
+def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int, anchor: Anchor) -> list[Segment]:
+    """Return a hand's segments: to each object, then with it until the approach to the next one begins."""
+    if not switches:  # it touches nothing: it keeps its place on the robot
+        return [Segment(hand=hand, kind="proprioception", start=0, stop=length, object=None, anchor="root")]
+    segments, start = [], 0
+    for index, (touch, release, name) in enumerate(switches):
+        last = index == len(switches) - 1
+        following = None if last else switches[index + 1]
+        stop = length if following is None else (release if release is not None else following[0])
+        if touch > start:
+            segments.append(Segment(hand=hand, kind="object", start=start, stop=touch, object=name))
+        begin = max(touch, start)
+        if stop > begin:
+            segments.append(
+                Segment(hand=hand, kind="proprioception", start=begin, stop=stop, object=name, anchor=anchor)
+            )
+            start = stop
+    return segments
+
+
+def _corrected(demonstration: Demonstration) -> list[Segment]:
+    """Read segments from the sidecar: {"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}."""
+    corrections: dict[str, Any] = demonstration.corrections or {}
+    names = [entry.name for entry in get_task(demonstration.task).objects]  # a list: what is asked may be unhashable
+    try:
+        segments = [Segment(**entry) for entry in corrections["segments"]]
+        if any(type(tick) is not int for entry in segments for tick in (entry.start, entry.stop)):
+            raise TypeError("ticks are whole numbers")
+    except (KeyError, TypeError) as error:
+        raise DemonstrationError(
+            f"corrections that cannot be read ({error})",
+            '{"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}',
+            "mend meta/segments.json, or remove it",
+        ) from error
+    segments.sort(key=lambda entry: (g1.SIDES.index(entry.hand) if entry.hand in g1.SIDES else -1, entry.start))
+    for hand in g1.SIDES:
+        track = [entry for entry in segments if entry.hand == hand]
+        edges = [0, *(entry.stop for entry in track)]
+        fits = [entry.start for entry in track] == edges[:-1] and edges[-1] == len(demonstration)
+        if not fits or any(entry.stop <= entry.start for entry in track):
+            raise DemonstrationError(
+                f"corrections whose {hand} segments are {[(entry.start, entry.stop) for entry in track]}",
+                f"segments from 0 to {len(demonstration)} without gaps",
+                "mend meta/segments.json, or remove it",
+            )
+    for entry in segments:
+        known = entry.object in names or (entry.object is None and entry.kind == "proprioception")
+        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS
+        if entry.kind not in ("object", "proprioception") or not known:
+            raise DemonstrationError(
+                f"a corrected segment {entry}",
+                f"a hand of {g1.SIDES}, kind object or proprioception, an object of {sorted(names)}, "
+                f"an anchor of {ANCHORS}",
+                "mend meta/segments.json, or remove it",
+            )
+    return segments
+
+
+def groups(segments: Sequence[Segment]) -> list[tuple[Segment, ...]]:
+    """Put segments of both hands that share object, kind and start together: they share one anchor."""
+    grouped: dict[tuple[str, int, str | None], list[Segment]] = {}
+    for entry in segments:
+        key = (entry.kind, entry.start, entry.object or entry.hand)
+        grouped.setdefault(key, []).append(entry)
+    return [tuple(group) for _, group in sorted(grouped.items(), key=lambda item: item[0][1])]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm segment``."""
+    parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
+    parser.add_argument("--root", type=Path, help="directory of the demonstration (default: the packaged one)")
+    parser.add_argument("--figure", type=Path, help="draw the timeline into this PNG")
+    parser.add_argument(
+        "--write-corrections",
+        action="store_true",
+        help="write the segments to meta/segments.json, to be corrected there",
+    )
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the events and segments of a demonstration, draw them, write them down for corrections."""
+    task = get_task(arguments.task)
+    demonstration = load(arguments.root, task)
+    print("   tick  hand   event")
+    for event in events(demonstration):
+        print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
+    print("\n  ticks    hand   follows")
+    for entry in segment(demonstration):
+        what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
+        print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
+    if arguments.figure is not None:
+        from lerobot_demohlm.demonstrations.timeline import write_timeline
+
+        write_timeline(demonstration, arguments.figure)
+        print(f"\n{arguments.figure}")
+    if arguments.write_corrections:
+        path = (arguments.root or default_root(task)) / CORRECTIONS_PATH
+        content = {"segments": [asdict(entry) for entry in segment(demonstration)]}
+        path.write_text(json.dumps(content, indent=2) + "\n")
+        print(f"\n{path}: correct it by hand; remove it to have the segments found again")

@@ -1,0 +1,129 @@
+"""A state-only dataset and a preset -> a trained policy, by LeRobot's own training with its data held in memory.
+
+The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --config_path=FILE`` with the file that
+``--write-config`` writes, or with the ``train_config.json`` of the checkpoint, is the same training.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gym_demohlm.errors import DatasetError, PolicyError
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.datasets.facts import read_facts, require_new_root
+from lerobot_demohlm.policies.presets import NAMES, POLICIES, PRESETS, train_config
+from lerobot_demohlm.reproducibility import provenance
+
+if TYPE_CHECKING:
+    from lerobot.configs.train import TrainPipelineConfig
+
+BATCH_SIZE = PRESETS["mlp", "cpu"].batch_size
+
+
+def checkpoint(root: Path) -> Path:
+    """Return where a training leaves its last checkpoint."""
+    return root / "checkpoints" / "last" / "pretrained_model"
+
+
+def train(
+    root: Path,
+    dataset_root: Path,
+    policy: str = "mlp",
+    preset: str = "cpu",
+    *,
+    steps: int | None = None,
+    seed: int = 0,
+    num_episodes: int | None = None,
+    device: str = "cpu",
+    num_threads: int = 1,
+) -> Path:
+    """Train a policy and return its last checkpoint.
+
+    Args:
+        root: Output directory of the training; must not exist.
+        dataset_root: Dataset without images.
+        policy: "mlp", "act" or "diffusion".
+        preset: "paper" or "cpu".
+        steps: Training steps; the preset's by default.
+        seed: Of the weights and of the order of the samples.
+        num_episodes: Train on so many episodes from the first on; on all by default.
+        device: Where it is trained.
+        num_threads: Threads of torch. Two on two cores gain a third; where another process is busy, two are ten times
+            slower than one.
+
+    Raises:
+        UnknownNameError: No such policy or preset.
+        PolicyError: Fewer than one step or episode.
+        DatasetError: The root exists, or the dataset has fewer episodes.
+    """
+    require_new_root(root)
+    config = train_config(
+        dataset_root, root, policy, preset, steps=steps, seed=seed, num_episodes=num_episodes, device=device
+    )
+    if num_episodes is not None:
+        available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]
+        if num_episodes > available:
+            raise DatasetError(f"num_episodes={num_episodes}", f"at most the {available} of {dataset_root}", "lower it")
+    run(config, num_threads)
+    return checkpoint(root)
+
+
+def run(config: "TrainPipelineConfig", num_threads: int = 1) -> None:
+    """Run LeRobot's training on data held in memory."""
+    import torch
+    from accelerate.state import AcceleratorState
+    from lerobot.scripts.lerobot_train import train as lerobot_train
+
+    from lerobot_demohlm.datasets import in_memory
+
+    torch.set_num_threads(num_threads)
+    in_memory.install()
+    AcceleratorState._reset_state(reset_partial_state=True)  # else a training has the precision of the one before it
+    lerobot_train(config)  # type: ignore[call-arg]  # its decorator hides that a configuration may be given
+
+
+def write_config(path: Path, config: "TrainPipelineConfig") -> None:
+    """Write a configuration as ``lerobot-train --config_path=`` reads it."""
+    import draccus
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w") as file, draccus.config_type("json"):
+        draccus.dump(config, file, indent=4)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``demohlm train``."""
+    data = parser.add_mutually_exclusive_group(required=True)
+    data.add_argument("--root", type=Path, help="dataset of `demohlm generate`")
+    data.add_argument("--task", help="short for --root data/TASK, such as data/lift_box for LiftBox")
+    parser.add_argument("--policy", default="mlp", choices=POLICIES, help="what is trained (default: %(default)s)")
+    parser.add_argument("--preset", default="cpu", choices=NAMES, help="hyperparameters (default: %(default)s)")
+    parser.add_argument("--output", type=Path, help="directory of the training; must not exist (default: in outputs)")
+    parser.add_argument("--steps", type=int, help="training steps (default: the preset's)")
+    parser.add_argument("--num-episodes", type=int, help="train on the first so many episodes (default: on all)")
+    parser.add_argument("--seed", type=int, default=0, help="of the weights and of the order of the samples")
+    parser.add_argument("--device", default="cpu", help='such as "cuda" (default: %(default)s)')
+    parser.add_argument("--num-threads", type=int, default=1, help="threads of torch (default: %(default)s)")
+    parser.add_argument("--write-config", type=Path, help="write the configuration of lerobot-train and train nothing")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Run ``demohlm train``; the last line on stdout is the path of the checkpoint, or of the configuration.
+
+    Raises:
+        DatasetError: There is no dataset, or the output exists.
+        PolicyError: Fewer than one step, episode or thread.
+    """
+    if arguments.num_threads < 1:
+        raise PolicyError(f"num_threads={arguments.num_threads}", "1 or more", "correct --num-threads")
+    root = arguments.root or Path("data") / provenance.file_name(get_task(arguments.task))
+    read_facts(root)
+    output = arguments.output or Path("outputs") / f"{root.name}_{arguments.policy}_{arguments.preset}"
+    chosen = {name: getattr(arguments, name) for name in ("steps", "seed", "num_episodes", "device")}
+    if arguments.write_config is not None:
+        config = train_config(root, output, arguments.policy, arguments.preset, **chosen)
+        write_config(arguments.write_config, config)
+        print(arguments.write_config)
+        return
+    print(train(output, root, arguments.policy, arguments.preset, **chosen, num_threads=arguments.num_threads))

@@ -1,0 +1,1 @@
+"""Pages, films and pictures of what was made."""

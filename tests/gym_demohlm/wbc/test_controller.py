@@ -1,0 +1,117 @@
+"""The shipped controller on the deployment model stands, walks where it is told, squats and bends; training runs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.wbc.evaluation import benchmark
+
+
+def _drive(change: dict[int, float], seconds: float) -> tuple[Simulation, np.ndarray]:
+    """Hold one command; returns the simulation and how far the pelvis moved (2,) [m]."""
+    simulation = Simulation(benchmark.BENCHMARK_TASK)
+    start = simulation.pose("pelvis")[0, :2, 3]
+    action = command.rest()
+    for index, value in change.items():
+        action[index] = value
+    for _ in range(round(10 * seconds)):
+        simulation.step(action[None])
+        assert not simulation.fallen()[0]
+    return simulation, simulation.pose("pelvis")[0, :2, 3] - start
+
+
+def test_it_stands_still() -> None:
+    simulation, moved = _drive({}, 4.0)
+    before = simulation.joint_positions.copy()
+    simulation.step(command.rest()[None])
+    assert np.abs(simulation.joint_positions - before).max() < 0.02  # rad in 0.1 s: no trembling
+    assert np.hypot(*moved) < 0.1
+
+
+@pytest.mark.parametrize(("axis", "speed"), [(0, 0.4), (0, -0.2), (1, 0.2), (1, -0.2)])
+def test_it_walks_where_it_is_told(axis: int, speed: float) -> None:
+    _, moved = _drive({axis: speed}, 5.0)
+    assert moved[axis] / 5.0 == pytest.approx(speed, abs=0.12)
+    assert abs(moved[1 - axis]) / 5.0 < 0.12
+
+
+@pytest.mark.parametrize(("height", "pitch"), [(0.60, 0.0), (0.55, 0.5), (0.5, 0.8)])
+def test_it_squats_and_bends(height: float, pitch: float) -> None:
+    simulation, _ = _drive({command.HEIGHT: height, command.PITCH: pitch}, 4.0)
+    up = simulation.pose("torso")[0, 2, :3]
+    assert simulation.pose("pelvis")[0, 2, 3] == pytest.approx(height, abs=0.03)
+    assert np.arctan2(-up[0], np.hypot(up[1], up[2])) == pytest.approx(pitch, abs=0.1)
+
+
+def test_benchmark_reports_every_number() -> None:
+    found = benchmark.benchmark(num_worlds=2, seconds=8.0, seed=1, num_threads=1)
+    text = json.loads(json.dumps(found))
+    for name in ("linear_velocity_error", "yaw_rate_error", "height_error", "torso_pitch_error", "survival"):
+        assert np.isfinite(text[name])
+    assert 0.0 <= text["survival"] <= 1.0
+
+
+@pytest.mark.parametrize("num_processes", [1, 2])
+def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
+
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, num_processes=num_processes, save_every=1, level_every=1)
+    train.train(tmp_path / "run", config, hours=2 / 3600)
+    lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
+    assert json.loads(lines[-1])["steps"] == len(lines) * 24 * 8 * num_processes
+    assert WholeBodyController(1, tmp_path / "run" / "weights.npz").weights.metadata["iteration"] == len(lines)
+    with pytest.raises(train.SceneError, match="exists already"):
+        train.train(tmp_path / "run", config, hours=1 / 3600)
+    train.train(tmp_path / "run", config, hours=1 / 3600, resume=True)
+    more = (tmp_path / "run" / "log.jsonl").read_text()
+    assert json.loads(more.splitlines()[-1])["iteration"] > len(lines)
+    train.train(tmp_path / "run", replace(config, max_steps=1), hours=1.0, resume=True)  # it has made more than that
+    assert (tmp_path / "run" / "log.jsonl").read_text() == more
+
+
+def test_a_first_evaluation_finds_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.evaluation import benchmark
+    from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
+
+    def quick(path: Path) -> dict[str, float]:
+        return {"iteration": WholeBodyController(1, path).weights.metadata["iteration"]}
+
+    monkeypatch.setattr(benchmark, "quick", quick)
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, num_processes=1, save_every=1000, evaluate_every=1, max_steps=2 * 24 * 8)
+    train.train(tmp_path / "run", config, hours=1.0)
+    lines = (tmp_path / "run" / "evaluation.jsonl").read_text().splitlines()
+    assert [json.loads(line)["deployment/iteration"] for line in lines] == [1, 2]
+
+
+@pytest.mark.slow
+def test_it_keeps_the_promised_errors() -> None:
+    found = benchmark.benchmark(num_worlds=64, seconds=20.0, seed=3)
+    assert found["linear_velocity_error"] < 0.12
+    assert found["yaw_rate_error"] < 0.25
+    assert found["height_error"] < 0.03
+    assert found["torso_pitch_error"] < 0.06
+    assert found["survival"] > 0.9
+
+
+def test_coming_to_a_stand_does_not_turn_it() -> None:
+    """The soles of a robot that stands nearly upright stay where they were put, and so does its heading."""
+    told = np.tile(command.rest(), (6, 1))
+    told[:, :2] = [[0.05, 0.0], [0.1, 0.0], [0.3, 0.0], [-0.2, 0.0], [0.0, 0.2], [0.0, -0.2]]
+    simulation = Simulation(benchmark.BENCHMARK_TASK, num_worlds=len(told))
+    simulation.reset([simulation.task.default_state()] * len(told))
+    headings = []
+    for step in range(55):
+        simulation.step(told if step < 30 else np.tile(command.rest(), (len(told), 1)))
+        headings.append(np.arctan2(*simulation.pose("pelvis")[:, [1, 0], 0].T))
+    swaying = np.mean(headings[30:37], axis=0)  # a gait period, in which it squares up its feet
+    assert np.abs(headings[-1] - swaying).max() < 0.03

@@ -1,0 +1,184 @@
+"""``push`` against a local server that answers as the hub does: what arrives is what lies on disk, tagged."""
+
+import base64
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.hub import push
+from lerobot_demohlm.generation.block import write_block
+from lerobot_demohlm.generation.run import GenerationRun
+from tests.helpers.synthetic import make_episode, make_facts
+
+REPO = "user/name"
+
+
+class FakeHub(ThreadingHTTPServer):
+    """Keeps one dataset repository: files by path, tags by name; parquet files arrive by LFS, others in the commit."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.files: dict[str, bytes] = {}
+        self.objects: dict[str, bytes] = {}
+        self.tags: dict[str, str] = {}
+        self.deleted_tags: list[str] = []
+        self.created: list[dict] = []
+        self.tokens: set[str | None] = set()
+        self.unexpected: list[str] = []
+        self.refuse = False
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}"
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: FakeHub
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Be quiet."""
+
+    def answer(self, status: int, content: object = None, **headers: str) -> None:
+        body = json.dumps(content if content is not None else {}).encode()
+        self.send_response(status)
+        for name, value in {"Content-Type": "application/json", "Content-Length": str(len(body)), **headers}.items():
+            self.send_header(name.replace("_", "-"), value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def body(self) -> bytes:
+        return self.rfile.read(int(self.headers.get("Content-Length", 0)))
+
+    def do_POST(self) -> None:
+        hub, body, path = self.server, self.body(), self.path.split("?")[0]
+        hub.tokens.add(self.headers.get("Authorization"))
+        api = f"/api/datasets/{REPO}"
+        if hub.refuse:
+            self.answer(403, {"error": "not yours"})
+        elif path == "/api/repos/create":
+            hub.created.append(json.loads(body))
+            self.answer(200, {"url": f"{hub.url}/datasets/{REPO}"})
+        elif path == "/api/validate-yaml":
+            self.answer(200, {"errors": [], "warnings": []})
+        elif path == f"{api}/preupload/main":
+            names = [entry["path"] for entry in json.loads(body)["files"]]
+            modes = [{"path": n, "uploadMode": "lfs" if n.endswith(".parquet") else "regular"} for n in names]
+            self.answer(200, {"files": [mode | {"shouldIgnore": False} for mode in modes]})
+        elif path == f"/datasets/{REPO}.git/info/lfs/objects/batch":
+            objects = [
+                entry | {"actions": {"upload": {"href": f"{hub.url}/lfs/{entry['oid']}"}}}
+                for entry in json.loads(body)["objects"]
+            ]
+            self.answer(200, {"transfer": "basic", "objects": objects})
+        elif path == f"{api}/commit/main":
+            for line in body.splitlines():
+                entry = json.loads(line)
+                value = entry["value"]
+                if entry["key"] == "file":
+                    hub.files[value["path"]] = base64.b64decode(value["content"])
+                elif entry["key"] == "lfsFile":
+                    hub.files[value["path"]] = hub.objects[value["oid"]]
+            commit = {"commitUrl": f"{hub.url}/datasets/{REPO}/commit/abc", "commitOid": "abc", "hookOutput": ""}
+            self.answer(200, commit)
+        elif path == f"{api}/tag/main":
+            hub.tags[json.loads(body)["tag"]] = "main"
+            self.answer(200)
+        else:
+            hub.unexpected.append(f"POST {self.path}")
+            self.answer(404)
+
+    def do_PUT(self) -> None:
+        body = self.body()
+        self.server.objects[hashlib.sha256(body).hexdigest()] = body
+        self.answer(200)
+
+    def do_GET(self) -> None:
+        if self.path.startswith(f"/api/datasets/{REPO}"):
+            siblings = [{"rfilename": name} for name in self.server.files]
+            self.answer(200, {"id": REPO, "sha": "abc", "siblings": siblings})
+        else:
+            self.answer(404)  # the client asks for things that a hub may not have
+
+    def do_DELETE(self) -> None:
+        tag = self.path.rsplit("/", 1)[1]
+        if self.server.tags.pop(tag, None) is None:
+            self.answer(404, {"error": "no such tag"}, X_Error_Code="RevisionNotFound")
+        else:
+            self.server.deleted_tags.append(tag)
+            self.answer(200)
+
+
+@pytest.fixture
+def hub() -> Iterator[FakeHub]:
+    server = FakeHub()
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    run = GenerationRun.open(tmp_path / "data", "local/name", make_facts(num_attempts=2))
+    write_block(run.directory, run.facts, range(2), [make_episode(0), make_episode(1)])
+    run.finish()
+    return run.root
+
+
+def push_in_subprocess(hub: FakeHub, root: Path, home: Path, times: int = 1) -> subprocess.CompletedProcess[str]:
+    """Push as the command line does; the hub client reads its environment when it is imported.
+
+    Xet, the hub's chunk storage, is switched off: the client then uploads large files by LFS, which is plain HTTP.
+    """
+    code = (
+        "import sys; from pathlib import Path; from gym_demohlm.errors import DemoHLMError\n"
+        "from lerobot_demohlm.push import push\n"
+        "try:\n"
+        "    for _ in range(int(sys.argv[3])): print(push(Path(sys.argv[1]), sys.argv[2]))\n"
+        "except DemoHLMError as error: sys.exit(f'error: {error}')\n"
+    )
+    changes = {"HF_ENDPOINT": hub.url, "HF_TOKEN": "hf_secret", "HF_HOME": str(home)}
+    changes |= {"HF_HUB_OFFLINE": "0", "HF_HUB_DISABLE_XET": "1"}
+    arguments = [sys.executable, "-c", code, str(root), REPO, str(times)]
+    return subprocess.run(arguments, env=os.environ | changes, capture_output=True, text=True)
+
+
+def test_push_twice(hub: FakeHub, root: Path, tmp_path: Path) -> None:
+    done = push_in_subprocess(hub, root, tmp_path / "hf", times=2)  # the second moves the tag
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [f"{hub.url}/datasets/{REPO}"] * 2
+    assert hub.unexpected == []
+    assert hub.tags == {"v3.0": "main"}
+    assert hub.deleted_tags == ["v3.0"]
+    on_disk = {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+    assert {name: data for name, data in hub.files.items() if name != ".gitattributes"} == on_disk
+    assert hub.created[0]["type"] == "dataset"
+    assert hub.tokens == {"Bearer hf_secret"}
+    assert f'LeRobotDataset("{REPO}")' in hub.files["README.md"].decode()  # the card names the repository pushed to
+
+
+def test_refusal_is_one_clear_error(hub: FakeHub, root: Path, tmp_path: Path) -> None:
+    hub.refuse = True
+    done = push_in_subprocess(hub, root, tmp_path / "hf")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: got HfHubHTTPError")
+    assert "403" in done.stderr
+
+
+def test_bad_arguments_are_refused_before_any_request(root: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="demohlm generate"):
+        push(tmp_path, REPO)
+    with pytest.raises(DatasetError, match="user/name"):
+        push(root, "name")

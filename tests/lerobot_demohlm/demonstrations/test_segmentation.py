@@ -1,0 +1,195 @@
+"""Contact forces become events, events become segments that cover the demonstration, corrections win."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.demonstrations import segmentation
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segments import Event, Segment
+
+PAIRS = (("left", "box"), ("right", "box"))
+
+
+@pytest.fixture(scope="module")
+def demonstration() -> Demonstration:
+    return demonstrations.load(task=get_task("LiftBox"))
+
+
+def forces(length: int, **touches: tuple[int, int]) -> np.ndarray:
+    """Return forces (length, 2): 10 N from start to stop for each hand named."""
+    array = np.zeros((length, 2))
+    for hand, (start, stop) in touches.items():
+        array[start:stop, [pair[0] for pair in PAIRS].index(hand)] = 10.0
+    return array
+
+
+def with_forces(demonstration: Demonstration, **touches: tuple[int, int]) -> Demonstration:
+    return dataclasses.replace(demonstration, contact_forces=forces(len(demonstration), **touches))
+
+
+def test_events_are_touches_and_releases_in_order() -> None:
+    found = segmentation.contact_events(forces(30, left=(5, 20), right=(7, 30)), PAIRS)
+    assert found == [
+        Event(tick=5, hand="left", kind="touch", object="box"),
+        Event(tick=7, hand="right", kind="touch", object="box"),
+        Event(tick=20, hand="left", kind="release", object="box"),
+    ]
+
+
+def test_a_brush_is_no_touch_and_a_slip_no_release() -> None:
+    brush = forces(30, left=(5, 6))
+    assert segmentation.contact_events(brush, PAIRS) == []
+    slip = forces(30, left=(5, 25))
+    slip[12, 0] = 0.0
+    assert [event.tick for event in segmentation.contact_events(slip, PAIRS)] == [5, 25]
+    weak = forces(30, left=(5, 25)) * 0.04
+    assert segmentation.contact_events(weak, PAIRS) == []
+
+
+def test_grippers_close_and_open() -> None:
+    action = np.zeros((20, command.SIZE), dtype=np.float32)
+    action[6:15, -1] = 1.0
+    assert segmentation.gripper_events(action) == [
+        Event(tick=6, hand="right", kind="close"),
+        Event(tick=15, hand="right", kind="open"),
+    ]
+
+
+def test_the_packaged_demonstration_has_one_switch_for_both_hands(demonstration: Demonstration) -> None:
+    segments = segmentation.segment(demonstration)
+    assert [(entry.hand, entry.kind) for entry in segments] == [
+        ("left", "object"), ("left", "proprioception"), ("right", "object"), ("right", "proprioception")
+    ]  # fmt: skip
+    assert len({entry.start for entry in segments if entry.kind == "proprioception"}) == 1
+    switch = segments[1].start
+    touch = min(event.tick for event in segmentation.events(demonstration) if event.kind == "touch")
+    assert switch == touch
+    # Until then the box stands still; afterwards it rises.
+    heights = demonstration.object_poses[:, 0, 2]
+    assert np.ptp(heights[: switch + 1]) < 0.01
+    assert heights[-1] - heights[0] > 0.3
+    assert [len(group) for group in segmentation.groups(segments)] == [2, 2]
+
+
+@pytest.mark.parametrize("gap", [0, 3, 8])
+def test_hands_that_touch_together_switch_together(demonstration: Demonstration, gap: int) -> None:
+    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(20 + gap, 60)))
+    assert {entry.start for entry in segments if entry.kind == "proprioception"} == {20}
+
+
+def test_hands_that_touch_apart_switch_apart(demonstration: Demonstration) -> None:
+    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(40, 60)))
+    assert {entry.hand: entry.start for entry in segments if entry.kind == "proprioception"} == {
+        "left": 20,
+        "right": 40,
+    }
+
+
+def test_an_idle_hand_keeps_its_place_on_the_robot(demonstration: Demonstration) -> None:
+    segments = segmentation.segment(with_forces(demonstration, right=(20, 60)))
+    assert segments[0] == Segment(
+        hand="left", kind="proprioception", start=0, stop=len(demonstration), object=None, anchor="root"
+    )
+
+
+def test_a_second_touch_after_a_release_is_a_second_approach(demonstration: Demonstration) -> None:
+    touches = forces(len(demonstration), left=(20, 30))
+    touches[40:50, 0] = 10.0
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches))
+    left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
+    assert left == [
+        ("object", 0, 20),
+        ("proprioception", 20, 30),
+        ("object", 30, 40),
+        ("proprioception", 40, len(demonstration)),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_segments_cover_every_tick_once(demonstration: Demonstration, seed: int) -> None:
+    """Whatever the forces, a hand follows exactly one thing at any tick."""
+    rng = np.random.default_rng(seed)
+    noise = np.repeat(rng.uniform(0, 8, size=(-(-len(demonstration) // 6), 2)) * rng.integers(0, 2, size=2), 6, axis=0)
+    noise[:6] = [5.0, 0.0]
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=noise[: len(demonstration)]))
+    for hand in ("left", "right"):
+        covered = [tick for entry in segments if entry.hand == hand for tick in range(entry.start, entry.stop)]
+        assert covered == list(range(len(demonstration)))
+
+
+def test_no_contact_is_an_error(demonstration: Demonstration) -> None:
+    with pytest.raises(DemonstrationError, match="without contact"):
+        segmentation.segment(with_forces(demonstration))
+
+
+def corrections(length: int, **changes: object) -> dict[str, Any]:
+    entries: list[dict[str, Any]] = [
+        {"hand": hand, "kind": kind, "start": start, "stop": stop, "object": "box", "anchor": "root"}
+        for hand in ("left", "right")
+        for kind, start, stop in (("object", 0, 10), ("proprioception", 10, length))
+    ]
+    entries[1] |= changes
+    return {"segments": entries}
+
+
+def test_corrections_replace_what_was_found(demonstration: Demonstration) -> None:
+    corrected = dataclasses.replace(demonstration, corrections=corrections(len(demonstration)))
+    segments = segmentation.segment(corrected)
+    assert [entry.start for entry in segments] == [0, 10, 0, 10]
+    assert segments[1].anchor == "root"
+    assert corrected.content_hash != demonstration.content_hash
+
+
+@pytest.mark.parametrize(
+    "changes", [{"start": 12}, {"stop": 5}, {"object": "cup"}, {"anchor": "moon"}, {"kind": "dance"}, {"colour": 1}]
+)
+def test_corrections_that_do_not_fit_are_errors(demonstration: Demonstration, changes: dict[str, object]) -> None:
+    wrong = dataclasses.replace(demonstration, corrections=corrections(len(demonstration), **changes))
+    with pytest.raises(DemonstrationError, match=r"segments\.json"):
+        segmentation.segment(wrong)
+
+
+def test_a_short_gap_is_no_second_approach(demonstration: Demonstration) -> None:
+    touches = forces(len(demonstration), left=(20, 30))
+    touches[34:50, 0] = 10.0
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches))
+    left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
+    assert left == [("object", 0, 20), ("proprioception", 20, len(demonstration))]
+
+
+def test_a_hand_that_takes_over_follows_the_object_from_where_it_came_to_rest(demonstration: Demonstration) -> None:
+    """The right hand has the box from tick 20 and brings it to rest at 40; the left one takes it at 60."""
+    objects = demonstration.object_poses.copy()
+    objects[:] = objects[0]
+    objects[:, 0, 1] += np.clip((np.arange(len(objects)) - 25) / 15, 0, 1) * 0.3
+    handed = dataclasses.replace(with_forces(demonstration, right=(20, 75), left=(60, 80)), object_poses=objects)
+    segments = segmentation.segment(handed)
+    left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
+    assert [entry[0] for entry in left] == ["object", "object", "proprioception"]
+    assert left[0][2] == left[1][1] and 38 <= left[1][1] <= 41
+    right = [(entry.kind, entry.start) for entry in segments if entry.hand == "right"]
+    assert right == [("object", 0), ("proprioception", 20)]
+    # An object that is still on its way is met where it was seen first.
+    objects[:, 0, 1] = np.arange(len(objects)) * 0.01
+    moving = segmentation.segment(dataclasses.replace(handed, object_poses=objects))
+    assert [entry.kind for entry in moving if entry.hand == "left"] == ["object", "proprioception"]
+
+
+def test_hands_follow_the_base_once_it_walks(demonstration: Demonstration) -> None:
+    action = demonstration.action.copy()
+    action[40:55, 0] = 0.3
+    walking = dataclasses.replace(with_forces(demonstration, left=(20, 80), right=(20, 80)), action=action)
+    for hand in ("left", "right"):
+        track = [entry for entry in segmentation.segment(walking) if entry.hand == hand]
+        assert [(entry.kind, entry.anchor, entry.start) for entry in track] == [
+            ("object", "eef_heading", 0),
+            ("proprioception", "body", 20),
+            ("proprioception", "base", 40),
+        ]

@@ -1,0 +1,297 @@
+"""Rollouts: seeded, in order, the same alone and in a batch; records, intervals, and what a checkpoint must be."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+
+from gym_demohlm.control import command
+from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
+from gym_demohlm.errors import DatasetError, PolicyError
+from gym_demohlm.registry import get_task, register_task
+from lerobot_demohlm import cli
+from lerobot_demohlm.evaluation import evaluate as evaluation
+from lerobot_demohlm.evaluation import rollouts
+from lerobot_demohlm.evaluation.evaluate import (
+    append_records,
+    evaluate,
+    read_records,
+    resumed_records,
+    summarize,
+    wilson,
+)
+from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, policy_hash
+from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
+from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
+from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import make_chunked_mlp_pre_post_processors
+
+TASK = register_task(replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)).name
+SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 23}
+
+
+def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
+    """Write the checkpoint of a policy that stands still, or fidgets where it is given weights of a scale."""
+    config = ChunkedMLPConfig(device="cpu", push_to_hub=False, hidden_dims=[16], chunk_size=4, n_action_steps=3)
+    config.input_features = {
+        "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(state_size,)),
+        "observation.environment_state": PolicyFeature(type=FeatureType.ENV, shape=(9,)),
+    }
+    config.output_features = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(23,))}
+    policy = ChunkedMLPPolicy(config)
+    torch.manual_seed(0)
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, std=scale)
+    stats = {key: {"mean": np.zeros(size), "std": np.ones(size)} for key, size in SIZES.items()}
+    stats["observation.state"] = {"mean": np.zeros(state_size), "std": np.ones(state_size)}
+    stats["action"]["mean"] = command.rest()
+    for part in (policy, *make_chunked_mlp_pre_post_processors(config, stats)):
+        part.save_pretrained(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_policy(tmp_path_factory.mktemp("policy") / "pretrained_model")
+
+
+@pytest.fixture(scope="module")
+def restless(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a policy whose actions depend on what it sees."""
+    return save_policy(tmp_path_factory.mktemp("restless") / "pretrained_model", scale=0.2)
+
+
+def played(loaded: rollouts.LoadedPolicy, seeds: list[int], **kwargs: int) -> tuple[list[dict], np.ndarray]:
+    """Roll out and return the records and the physics states of every step (steps, worlds, size)."""
+    states: list[np.ndarray] = []
+    setting = Setting(task=TASK, region="R1", **kwargs)
+    found = rollouts.rollouts(
+        loaded, setting, seeds, on_step=lambda env, going: states.append(env.sim.snapshot()["physics"])
+    )
+    return list(found), np.stack(states)
+
+
+@pytest.mark.parametrize("use_amp", [False, True])
+def test_a_policy_acts_in_the_precision_it_was_trained_in(use_amp: bool, checkpoint: Path) -> None:
+    loaded = load_policy(checkpoint, TASK)
+    loaded.policy.config.use_amp = use_amp
+    select, seen = loaded.policy.select_action, []
+
+    def watched(batch: dict) -> torch.Tensor:
+        seen.append(torch.is_autocast_enabled("cpu"))
+        return select(batch)
+
+    loaded.policy.select_action = watched  # type: ignore[method-assign]
+    played(loaded, [7])
+    assert set(seen) == {use_amp}
+
+
+def test_rollouts_are_seeded_and_the_same_alone_and_in_a_batch(restless: Path) -> None:
+    loaded = load_policy(restless, TASK)
+    seeds = [7, 8, 9]
+    batched, states = played(loaded, seeds, num_worlds=2)  # the last batch has one world too many
+    for place, seed in enumerate(seeds):
+        alone, own_states = played(loaded, [seed])
+        assert alone == [batched[place]]
+        batch, world = divmod(place, 2)
+        np.testing.assert_array_equal(states[6 * batch : 6 * batch + 6, world], own_states[:, 0])
+    assert [record["seed"] for record in batched] == seeds
+    env = DemoHLMVectorEnv(num_envs=1, task=TASK, region="R1")
+    for record in batched:
+        start = env.reset(seed=record["seed"])[1]["initial_state"]
+        assert record["initial_state"] == {name: [float(v) for v in start[name][0]] for name in ("robot", "object")}
+        assert record["length_s"] == 0.5
+        assert record["outcome"] == "timeout"
+        assert not record["success_held"]
+        assert (record["policy"], record["num_train_episodes"], record["train_seed"]) == ("chunked_mlp", None, None)
+    env.close()
+    assert batched[0]["initial_state"] != batched[1]["initial_state"]
+    assert json.loads(json.dumps(batched)) == batched
+
+
+def test_observer_sees_every_step(checkpoint: Path) -> None:
+    seen: list[list[bool]] = []
+    setting = Setting(task=TASK, region="R1")
+    loaded = load_policy(checkpoint, TASK)
+    list(rollouts.rollouts(loaded, setting, [1, 2], on_step=lambda env, going: seen.append(going.tolist())))
+    assert seen == [[True, True]] * 5 + [[False, False]]
+
+
+def test_command_line(checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "new" / "rollouts.jsonl"
+    arguments = ["evaluate", "--policy", str(checkpoint), "--task", TASK, "--region", "R2", "--num-episodes", "2"]
+    assert cli.main([*arguments, "--output", str(output)]) == 0
+    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (summary["task"], summary["region"], summary["episodes"]) == (TASK, "R2", 2)
+    assert summary["success_held"]["rate"] == 0
+    assert summary["outcomes"]["timeout"] == 2
+    assert [record["seed"] for record in read_records(output)] == [evaluation.FIRST_SEED, evaluation.FIRST_SEED + 1]
+    assert cli.main([*arguments, "--output", str(output)]) == 0  # nothing is left to do
+    assert len(read_records(output)) == 2
+    arguments[arguments.index("R2")] = "R1"
+    assert cli.main([*arguments, "--output", str(output)]) == 2
+    assert "region=R2" in capsys.readouterr().err
+    assert cli.main([*arguments, "--num-worlds", "0"]) == 2
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--task", TASK, "--region", "R7"]) == 2
+    assert cli.main(["evaluate", "--policy", str(tmp_path), "--task", TASK]) == 2
+    assert capsys.readouterr().err.count("error: ") == 3
+
+
+def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match=r"config\.json"):
+        load_policy(tmp_path, TASK)
+    with pytest.raises(PolicyError, match=r"observation\.state \(67,\)"):
+        load_policy(save_policy(tmp_path / "narrow", state_size=67), TASK)
+    unknown = tmp_path / "unknown"
+    unknown.mkdir()
+    for file in checkpoint.iterdir():
+        (unknown / file.name).write_bytes(file.read_bytes())
+    content = json.loads((unknown / "config.json").read_text())
+    (unknown / "config.json").write_text(json.dumps(content | {"type": "oracle"}))
+    with pytest.raises(PolicyError, match="oracle"):
+        load_policy(unknown, TASK)
+
+
+def test_policy_hash_is_of_what_decides_actions(checkpoint: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for file in checkpoint.iterdir():
+        (copy / file.name).write_bytes(file.read_bytes())
+    original = policy_hash(checkpoint)
+    (copy / "train_config.json").write_text("{}")
+    assert policy_hash(copy) == original
+    weights = copy / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"\x01")
+    assert policy_hash(copy) != original
+
+
+def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -> None:
+    def count(dataset: dict) -> int | None:
+        return rollouts._num_train_episodes({"dataset": dataset})
+
+    (tmp_path / "data/meta").mkdir(parents=True)
+    (tmp_path / "data/meta/info.json").write_text('{"total_episodes": 12}')
+    assert count({"root": str(tmp_path / "data"), "episodes": None}) == 12
+    assert count({"root": str(tmp_path / "data"), "episodes": [0, 3]}) == 2
+    assert count({"root": str(tmp_path / "gone"), "episodes": None}) is None
+    assert count({"root": None, "episodes": None}) is None
+    assert count({}) is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "outcome"),
+    [
+        ({"success_held"}, "success"),
+        ({"success_held", "collided"}, "success"),
+        ({"fell", "dropped"}, "fell"),
+        ({"unstable"}, "fell"),
+        ({"dropped", "collided"}, "dropped"),
+        ({"collided"}, "collided"),
+        (set(), "timeout"),
+    ],
+)
+def test_outcome_names_what_went_wrong_worst(flags: set[str], outcome: str) -> None:
+    names = ("success_held", "fell", "unstable", "dropped", "collided")
+    assert rollouts._outcome({name: name in flags for name in names}) == outcome
+
+
+def test_wilson_intervals() -> None:
+    # Reference values: Newcombe (1998), Statistics in Medicine 17, table I, method 3.
+    np.testing.assert_allclose(wilson(81, 263), (0.2553, 0.3662), atol=1e-4)
+    np.testing.assert_allclose(wilson(15, 148), (0.0624, 0.1605), atol=1e-4)
+    np.testing.assert_allclose(wilson(0, 20), (0.0, 0.1611), atol=1e-4)
+    np.testing.assert_allclose(wilson(1, 29), (0.0061, 0.1718), atol=1e-4)
+    for count in (1, 7, 50):
+        for successes in range(count + 1):
+            low, high = wilson(successes, count)
+            assert 0 <= low <= successes / count <= high <= 1
+            np.testing.assert_allclose(wilson(count - successes, count), (1 - high, 1 - low), atol=1e-12)
+    for wrong in ((0, 0), (3, 2), (-1, 2)):
+        with pytest.raises(ValueError, match="successes of"):
+            wilson(*wrong)
+
+
+def test_records_on_disk(tmp_path: Path) -> None:
+    record = {"outcome": "success", "success_held": True, "success_end": True, "success_ever": True}
+    failed = record | {"outcome": "fell", "success_held": False, "success_end": False}
+    path = tmp_path / "rollouts.jsonl"
+    assert append_records(path, iter([record, failed])) == read_records(path) == [record, failed]
+    summary = summarize(read_records(path))
+    assert [summary[name]["rate"] for name in evaluation.SUCCESSES] == [0.5, 0.5, 1.0]
+    for content in ("", "{", "[1]", '{"outcome": "won"}'):
+        path.write_text(content)
+        with pytest.raises(DatasetError, match="demohlm evaluate"):
+            read_records(path)
+
+
+def test_a_killed_evaluation_goes_on(restless: Path, tmp_path: Path) -> None:
+    loaded, setting = load_policy(restless, TASK), Setting(task=TASK, region="R1", num_worlds=2)
+    whole = evaluate(loaded, setting, [3, 4, 5], tmp_path / "whole.jsonl")
+    assert [record["seed"] for record in whole] == [3, 4, 5]
+    lines = (tmp_path / "whole.jsonl").read_bytes().splitlines(keepends=True)
+    torn = tmp_path / "torn.jsonl"
+    for kept in (lines[0] + lines[1][:-1], lines[0] + lines[1] + lines[2][:5]):
+        torn.write_bytes(kept)
+        assert evaluate(loaded, setting, [3, 4, 5], torn) == whole
+        assert sorted(torn.read_bytes().splitlines(keepends=True)) == sorted(lines)
+    assert evaluate(loaded, setting, [3, 4], tmp_path / "late.jsonl", deadline=0.0) == []
+    assert resumed_records(tmp_path / "late.jsonl", {}) == []
+    torn.write_bytes(lines[0][:40])
+    assert (resumed_records(torn, {}), torn.read_bytes()) == ([], b"")
+    torn.write_bytes(lines[0])
+    with pytest.raises(DatasetError, match="choose another --output"):
+        evaluate(loaded, Setting(task=TASK, region="R2"), [3], torn)
+
+
+def test_workers_give_the_same_lines(restless: Path) -> None:
+    loaded = load_policy(restless, TASK)
+    seeds = [3, 4, 5]
+    one = list(rollouts.rollouts(loaded, Setting(task=TASK, region="R1"), seeds))
+    two = list(rollouts.rollouts(loaded, Setting(task=TASK, region="R1", num_worlds=2, num_workers=2), seeds))
+    assert one == two
+    with pytest.raises(PolicyError, match="num_workers=2"):
+        played(loaded, seeds, num_workers=2)
+
+
+def test_lerobots_rollout_is_ours(restless: Path) -> None:
+    """LeRobot's own loop, with processors and environments as ``lerobot-eval`` makes them, ends in the same states."""
+    from lerobot.envs import make_env_pre_post_processors
+    from lerobot.scripts.lerobot_eval import rollout
+
+    from lerobot_demohlm.evaluation.env_config import DemoHLMEnvConfig
+
+    loaded = load_policy(restless, TASK)
+    records, states = played(loaded, [11, 12, 13])
+    config = DemoHLMEnvConfig(task=TASK, region="R1")
+    for batch in ([11, 12], [13]):  # other batches than ours
+        env = config.create_envs(len(batch))[TASK][0]
+        ours = states[:, [seed - 11 for seed in batch]]
+        seen: list[np.ndarray] = []
+        pre, post = make_env_pre_post_processors(config, loaded.policy.config)
+        result = rollout(
+            env,
+            loaded.policy,
+            pre,
+            post,
+            loaded.preprocessor,
+            loaded.postprocessor,
+            seeds=batch,
+            render_callback=lambda env, seen=seen: seen.append(env.sim.snapshot()["physics"]),
+        )
+        env.close()
+        np.testing.assert_array_equal(np.stack(seen), ours)
+        assert result["success"].any(dim=1).tolist() == [records[seed - 11]["success_held"] for seed in batch]
+    assert not np.array_equal(ours[1], ours[-1])
+
+
+@pytest.mark.slow
+def test_benchmark_beside_lerobot_eval(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["benchmark", "evaluation", "--num-episodes", "3", "--num-lerobot-episodes", "2", "--region", "R1"]
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (found["compared"], found["agreeing"]) == (2, 2)
+    assert found["ratio"] > 1
+    assert cli.main([*words, "--num-workers", "0"]) == 2

@@ -1,0 +1,231 @@
+"""Experiments: the order of the cells, running and resuming them."""
+
+import dataclasses
+import json
+import os
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
+from gym_demohlm.registry import all_tasks, get_task
+from lerobot_demohlm import cli
+from lerobot_demohlm.checks import portability
+from lerobot_demohlm.datasets.facts import write_facts
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.experiments import lines
+from lerobot_demohlm.experiments.cells import Effort, run_cell
+from lerobot_demohlm.experiments.cells import _alone as run_alone
+from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, RegionCell, plan, stamp
+from lerobot_demohlm.experiments.reproduce import missing, reproduce
+from tests.helpers.experiment_lines import CELL, layout, make_line
+from tests.helpers.synthetic import make_episode, make_facts
+
+
+def fake_run(cell: Cell | RegionCell) -> dict[str, Any] | None:
+    """Stand in for what runs a cell, in another process."""
+    if cell.task == "PushCube":
+        raise DatasetError("no success", "some", "try again")
+    if cell.task == "Handover":
+        raise ValueError("torch has something against it")
+    if cell.task == "GraspCube":
+        os._exit(9)  # as one that is killed for its memory
+    return None if cell.task == "PressCube" or not isinstance(cell, Cell) else make_line(cell)
+
+
+def test_every_task_has_a_number_before_any_has_two() -> None:
+    cells = plan("main")
+    tasks = list(all_tasks())
+    for start in range(0, len(cells), len(tasks)):
+        assert [cell.task for cell in cells[start : start + len(tasks)]] == tasks
+    assert len(set(cells)) == len(cells) == 5 * len(tasks)
+    rounds = [
+        (c.policy, c.num_train_episodes, c.train_seed) for c in cells if isinstance(c, Cell) and c.task == tasks[0]
+    ]
+    assert rounds == [("mlp", 1000, 0), ("mlp", 100, 0), ("act", 1000, 0), ("mlp", 1000, 1), ("mlp", 100, 1)]
+    assert {cell.policy for cell in plan("architectures", tasks=["LiftBox"])} == {"mlp", "act", "diffusion"}  # pyright: ignore
+    assert {cell.region for cell in plan("regions")} == {"R1", "R2", "R3"}
+    assert len(plan("main", tasks=["LiftBox"], sizes=[5000], seeds=[3], policies=["mlp"])) == 1
+    with pytest.raises(UnknownNameError, match="task 'Lift'"):
+        plan("main", tasks=["Lift"])
+    with pytest.raises(PolicyError, match="num_train_episodes=0"):
+        plan("main", sizes=[0])
+
+
+def test_smaller_sizes_come_from_the_larger_dataset(tmp_path: Path) -> None:
+    own = layout(tmp_path)
+    first = own.dataset("LiftBox", "R3", 1000)
+    first.mkdir(parents=True)
+    assert own.dataset("LiftBox", "R3", 100) == own.dataset("LiftBox", "R3", 1000) == first
+    assert own.dataset("LiftBox", "R3", 1001) != first
+    assert own.dataset("LiftBox", "R2", 100) != first
+    own.dataset("LiftBox", "R3", 5000).mkdir()
+    assert own.dataset("LiftBox", "R3", 100) == first
+
+
+def test_a_region_counts_the_first_attempts_of_a_dataset_to_train_on(tmp_path: Path) -> None:
+    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
+    root = own.dataset(cell.task, cell.region, 2)
+    outcomes = ["success", "fell", "success", "success"]
+    (root / "meta").mkdir(parents=True)
+    write_facts(root, make_facts(), [make_episode(i, outcome=outcome).record() for i, outcome in enumerate(outcomes)])
+    line = run_cell(cell, own, Effort(num_attempts=3, deadline=0.0))
+    assert line is not None and cell.is_of(line)
+    assert (line["attempts"], line["successes"], line["outcomes"]["fell"]) == (3, 2, 1)
+    assert line["episode_s"] == pytest.approx(1.2)
+    assert run_cell(cell, own, Effort(num_attempts=5, deadline=0.0)) is None, "there are not so many, and no time"
+
+
+def test_a_region_whose_line_was_never_written_is_not_made_again(tmp_path: Path) -> None:
+    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R2")
+    root = own.generation(cell, 2)
+    (root / "meta").mkdir(parents=True)
+    write_facts(root, make_facts(), [make_episode(i).record() for i in range(2)])
+    line = run_cell(cell, own, Effort(num_attempts=2, deadline=0.0))
+    assert line is not None and line["attempts"] == 2
+
+
+def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = layout(tmp_path)
+    tasks = ["LiftBox", "PressCube", "PushCube"]
+    cells = plan("main", tasks=[*tasks, "Handover", "GraspCube"], sizes=[100], seeds=[0], policies=["mlp"])
+    cells += plan("main", tasks=tasks, sizes=[100], seeds=[1], policies=["mlp"])
+    done, failures = reproduce(cells, own, fake_run, num_workers=2, command="demohlm reproduce ...")
+    assert done == 2
+    assert sorted(failure.partition("_mlp")[0] for failure in failures) == [
+        "grasp_cube",
+        "handover",
+        "push_cube",
+        "push_cube",
+    ]
+    texts = "\n".join(failures)
+    assert "no success" in texts and "ValueError: torch has something" in texts and "BrokenProcessPool" in texts
+    cells = plan("main", tasks=tasks, sizes=[100], seeds=[0, 1], policies=["mlp"])
+    kept = lines.read(own.policies_file)
+    assert sorted(line["train_seed"] for line in kept) == [0, 1]
+    assert {(line["task"], line["command"]) for line in kept} == {("LiftBox", "demohlm reproduce ...")}
+    assert [cell.task for cell in missing(cells, own)] == ["PressCube", "PushCube"] * 2
+    assert reproduce(cells[:1], own, fake_run) == (0, [])
+    assert reproduce(missing(cells, own), own, fake_run, deadline=time.monotonic()) == (0, [])
+    lines.append(own.policies_file, "another robot", make_line(CELL, stamp="other"))
+    assert CELL not in missing([CELL], own)
+    assert missing([CELL], own, num_rollouts=251) == [CELL]
+    capsys.readouterr()
+    words = ["reproduce", "--table", "main", "--tasks", *tasks, "--sizes", "100", "--policies", "mlp", "--seeds", "0"]
+    folders = ["--root", str(own.root), "--results", str(own.results)]
+    assert cli.main([*words, *folders, "--dry-run"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert cli.main([*words, *folders, "--budget-hours", "0"]) == 2
+    assert cli.main([*words, *folders, "--budget-hours", "1e-9"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["missing"] == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"stamp": "other"}, {"recipe": "other"}, {"steps": 2}, {"variant": "plain"}, {"train_seed": 1}, {"episodes": 2}],
+    ids=str,
+)
+def test_a_line_of_something_else_is_not_a_cells(tmp_path: Path, changes: dict[str, Any]) -> None:
+    own = layout(tmp_path)
+    lines.append(own.policies_file, "demohlm reproduce", make_line(CELL, **changes))
+    assert missing([CELL], own, num_rollouts=250) == [CELL]
+    lines.append(own.policies_file, "demohlm reproduce", make_line(CELL))
+    assert missing([CELL], own, num_rollouts=250) == []
+
+
+def test_regions_are_of_plain_attempts_and_enough_of_them(tmp_path: Path) -> None:
+    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
+    line = {"task": "LiftBox", "region": "R3", "stamp": stamp("LiftBox"), "attempts": 500, "successes": 500}
+    for changes in ({"command_noise": 1.0}, {"start_spread": 1.3}, {"retries": 1}, {"stamp": "other"}, {"attempts": 3}):
+        lines.append(own.generation_file, "demohlm generate", {**line, **changes})
+    assert missing([cell], own, num_attempts=500) == [cell]
+    lines.append(own.generation_file, "demohlm generate", line)
+    assert missing([cell], own, num_attempts=500) == []
+
+
+def test_a_stamp_is_of_what_generation_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = portability.packaged()
+    assert stamp("LiftBox") == known["tasks"]["LiftBox"][:8]
+    unknown = {**known, "tasks": {}}
+    monkeypatch.setattr(portability, "packaged", lambda: unknown)
+    task = get_task("PressCube")
+    found = portability.stamp(task)
+    assert found == portability.behaviour(task)[:8]
+    harder = dataclasses.replace(task, name="HarderPress", success=lambda sim: task.success(sim) & False)
+    monkeypatch.setattr(portability, "get_task", {"HarderPress": harder}.__getitem__)
+    recorded = demonstrations.load(None, task)
+    monkeypatch.setattr(portability.demonstrations, "load", lambda *_: recorded)
+    assert portability.stamp(harder) != found, "another condition of success is another behaviour"
+
+
+def test_a_training_has_a_place_of_its_own_by_its_steps(tmp_path: Path) -> None:
+    own, trial = layout(tmp_path), dataclasses.replace(CELL, steps=2)
+    assert own.training(trial) != own.training(CELL)
+    assert own.rollouts(trial) != own.rollouts(CELL)
+    assert plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0], policies=["mlp"], steps=2) == [trial]
+    assert plan("main", tasks=["LiftBox"] * 2, sizes=[100] * 2, seeds=[0, 0], policies=["mlp"]) == [CELL]
+
+
+def test_two_at_one_cell_are_told_so(tmp_path: Path) -> None:
+    own = layout(tmp_path)
+    own.training(CELL).parent.mkdir(parents=True)
+    with run_alone(own.training(CELL)), pytest.raises(DatasetError, match="is at work"):
+        run_cell(CELL, own, Effort(deadline=0.0))
+    assert run_cell(CELL, own, Effort(deadline=0.0)) is None, "the time is up, and nobody holds it"
+
+
+def process_of(cell: Cell) -> dict[str, Any]:
+    """Stand in for what runs a cell."""
+    return make_line(cell, process=os.getpid())
+
+
+def test_each_cell_has_a_process_of_its_own(tmp_path: Path) -> None:
+    own, run = layout(tmp_path), process_of
+    wanted = plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0, 1, 2], policies=["mlp"])
+    assert reproduce(wanted, own, run) == (3, [])  # pyright: ignore[reportArgumentType]
+    assert len({line["process"] for line in lines.read(own.policies_file)} | {os.getpid()}) == 4
+
+
+def run_beside(cell: Cell, folder: Path, seconds: float) -> dict[str, Any]:
+    """Stand in for what runs a cell, and wait so long for another beside it."""
+    (folder / f"seed{cell.train_seed}").touch()
+    end = time.monotonic() + seconds
+    while (began := len(list(folder.glob("seed*")))) < 2 and time.monotonic() < end:
+        time.sleep(0.01)
+    return make_line(cell, began=began)
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_one_cell_makes_the_data_of_both(tmp_path: Path, made: bool) -> None:
+    own, cells = layout(tmp_path), plan("main", tasks=["LiftBox"], sizes=[100], seeds=[0, 1], policies=["mlp"])
+    if made:
+        own.dataset("LiftBox", "R3", 1000, DEFAULT_VARIANT).mkdir(parents=True)
+    run: Any = partial(run_beside, folder=tmp_path, seconds=60.0 if made else 2.0)
+    assert reproduce(cells, own, run, num_workers=2) == (2, [])
+    assert [line["began"] for line in lines.read(own.policies_file)] == [2 if made else 1, 2]
+
+
+@pytest.mark.slow
+def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["reproduce", "--table", "main", "--tasks", "LiftBox", "--sizes", "2", "1", "--seeds", "0", "--steps", "2"]
+    words += ["--policies", "mlp", "--num-rollouts", "2", "--root", str(tmp_path / "runs")]
+    words += ["--results", str(tmp_path / "results")]
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["run"] == 2
+    kept = lines.read(tmp_path / "results/experiments.jsonl")
+    assert [line["num_train_episodes"] for line in kept] == [2, 1]
+    assert [line["episodes"] for line in kept] == [2, 2]
+    assert len(list((tmp_path / "runs/data").iterdir())) == 1
+    assert np.isfinite([line["train_samples_per_s"] for line in lines]).all()
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {
+        "table": "main",
+        "run": 0,
+        "missing": 0,
+        "failed": [],
+    }
+    assert lines.read(tmp_path / "results/experiments.jsonl") == lines

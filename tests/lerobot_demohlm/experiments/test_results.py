@@ -1,0 +1,92 @@
+"""Result lines -> README tables."""
+
+from pathlib import Path
+
+import pytest
+
+from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.experiments import lines, readme_tables
+from tests.helpers.paths import REPOSITORY
+
+
+def test_lines_become_a_table(tmp_path: Path) -> None:
+    facts = {
+        "task": "LiftBox",
+        "region": "R3",
+        "attempts": 100,
+        "successes": 93,
+        "outcomes": {"success": 93, "fell": 7},
+    }
+    lines.append(tmp_path / "generation.jsonl", "demohlm generate ...", {**facts, "successes": 1})
+    lines.append(tmp_path / "generation.jsonl", "demohlm generate ...", facts)
+    again = {"successes": 97, "retries": 2, "first_try_successes": 93, "outcomes": {"success": 97, "fell": 3}}
+    lines.append(tmp_path / "generation.jsonl", "demohlm generate --retries 2 ...", {**facts, **again})
+    readme = tmp_path / "README.md"
+    readme.write_text(f"top\n{readme_tables.BEGIN}\nold\n{readme_tables.END}\nbottom\n")
+    assert readme_tables.update_readme(readme, tmp_path)
+    text = readme.read_text()
+    assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6) | 91.2 | fell 7 |" in text
+    assert "| 97.0 (91.5 to 99.0), with up to 2 retries; 93.0 at the first try | 91.2 | fell 3 |" in text
+    assert text.count("| LiftBox |") == 2  # the last line of a task, region and number of retries counts
+    assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
+    assert not readme_tables.update_readme(readme, tmp_path)
+
+
+def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
+    numbers = {"num_worlds": 8, "seconds": 20.0, "survival": 1.0, "survival_pushed": 0.5, "tick_share": 0.02}
+    errors = {key: 0.08 for key, *_ in readme_tables._CONTROLLER}
+    ours = {**numbers, **errors, "largest_roll": 0.4, "largest_yaw": 1.0, "largest_hand_load": 2.0}
+    axes = {"forward": [-1.0, 1.0]}
+    peer = {
+        **ours,
+        "peer": "holosoma",
+        "peer_file": "walk.onnx",
+        "linear_velocity_error": 0.25,
+        "commanded": axes,
+        "trained_for": axes,
+    }
+    peer |= dict.fromkeys(("height_error", "largest_roll", "largest_yaw"))
+    path = tmp_path / "controller.jsonl"
+    lines.append(path, "demohlm benchmark controller", ours)
+    lines.append(path, "demohlm benchmark controller --peer holosoma --peer-range", peer)
+    text = readme_tables.tables(tmp_path)
+    assert "|  | ours | holosoma | best published |" in text
+    assert "| linear velocity error, walking, instantaneous | 0.080 m/s | 0.250 m/s | 0.142 m/s |" in text
+    assert "| height error, standing | 0.080 m | - | 0.028 m |" in text
+
+
+def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:
+    speed = {"episodes_per_s": 110.0, "lerobot_episodes_per_s": 5.0, "write_speedup": 22.0, "benchmark": "dataset"}
+    memory = {"benchmark": "memory", "run_episodes": 50, "rss_after_a_tenth_mb": 500, "rss_after_all_mb": 505}
+    trained = {"benchmark": "training", "preset": "cpu", "batch_size": 512, "lerobot_num_workers": 4, "ratio": 50.0}
+    rates = {"samples_per_s": 10_000.0, "lerobot_samples_per_s": 200.0}
+    trainings = [{**trained, **rates, "policy": policy} for policy in ("mlp", "act")]
+    for line in (speed, memory, *trainings):
+        lines.append(tmp_path / "speed.jsonl", "demohlm benchmark dataset", line)
+    runs = [{"backend": "ray", "workers": 2, "attempts_per_hour": 5000, "same": same} for same in (True, False)]
+    compared = {"task": "LiftBox", "region": "R3", "attempts": 64, "files": 9, "runs": runs}
+    lines.append(tmp_path / "workers.jsonl", "python benchmarks/workers.py", compared)
+    fault = {"fault": "kill -9", "tried": 50, "survived": 49, "lost": 1, "note": ""}
+    lines.append(tmp_path / "faults.jsonl", "python -m lerobot_demohlm.benchmarks.faults", {"faults": [fault]})
+    fuzzed = {"seconds": 3600, "executions": 100_000, "broke": False}
+    lines.append(tmp_path / "fuzzing.jsonl", "python benchmarks/fuzz_loaders.py --seconds 3600", fuzzed)
+    text = readme_tables.tables(tmp_path)
+    assert "| state-only episodes written a second | 110.0 | 5.0 (LeRobot's `save_episode`) | 22 |" in text
+    assert "| 505 after 50 episodes | 500 (after a tenth of its episodes) | 1.01 |" in text
+    for policy in ("mlp", "act"):
+        assert f"a second ({policy}, cpu, batch 512) | 10,000.0 | 200.0 (`lerobot-train`, 4 processes" in text
+    assert "| 2, ray | 5,000 | yes |" in text and "| 2, ray | 5,000 | **no** |" in text
+    assert "| kill -9 | 50 | 49 | 1 |" in text
+    assert "| 100,000 | 3600 s | none |" in text
+
+
+def test_damaged_line_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "generation.jsonl").write_text("{}\nbroken\n")
+    with pytest.raises(DatasetError, match=r"generation\.jsonl:2"):
+        lines.read(tmp_path / "generation.jsonl")
+
+
+def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
+    copy = tmp_path / "README.md"
+    copy.write_text((REPOSITORY / "README.md").read_text())
+    assert not readme_tables.update_readme(copy, REPOSITORY / "results"), "run: demohlm results --readme README.md"

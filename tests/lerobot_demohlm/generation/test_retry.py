@@ -1,0 +1,81 @@
+"""A stage that fails before anything is held may be tried again: hands go back, the robot steps back and returns."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation, StepResult
+from lerobot_demohlm.datasets.episode import Episode
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.generation import attempt, stages
+from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.locomotion import LocomotionSettings
+from lerobot_demohlm.generation.stages import Settings
+
+TASK = get_task("GraspCube")
+RIGHT = command.GRIPPERS.start + 1
+
+
+class Jammed(Simulation):
+    """A robot whose right gripper does not close the first time that it is told to."""
+
+    def reset(self, *arguments: object, **options: object) -> None:
+        super().reset(*arguments, **options)  # pyright: ignore[reportArgumentType]
+        self.told, self.freed = False, False
+
+    def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
+        closing = bool(commands[0, RIGHT] > 0.5)
+        self.freed |= self.told and not closing
+        self.told |= closing
+        if closing and not self.freed:
+            commands = commands.copy()
+            commands[0, RIGHT] = 0.0
+        return super().step(commands, active)
+
+
+def jammed(monkeypatch: pytest.MonkeyPatch, retries: int) -> Episode:
+    monkeypatch.setattr(attempt, "Simulation", Jammed)
+    attempts = Attempts(TASK, demonstrations.load(task=TASK), "R1", 0, settings=Settings(retries=retries))
+    (episode,) = attempts.run([0])
+    attempts.close()
+    return episode
+
+
+def test_without_retries_a_missed_grip_is_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = jammed(monkeypatch, 0)
+    assert (episode.outcome, episode.stage, episode.retries) == ("dropped", stages.MANIPULATION, 0)
+
+
+def test_a_missed_grip_is_tried_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = jammed(monkeypatch, 1)
+    assert (episode.outcome, episode.retries, episode.record()["retries"]) == ("success", 1, 1)
+    walking = np.abs(episode.action[:, command.VELOCITY]).max(axis=1) > 0.0
+    begins = np.flatnonzero(np.diff(walking.astype(int)) == 1) + 1
+    closed = np.flatnonzero(np.diff((episode.action[:, RIGHT] > 0.5).astype(int)) == 1) + 1
+    assert len(closed) == 2
+    back = [tick for tick in begins if closed[0] < tick < closed[1]]
+    assert len(back) >= 2  # back and forth again
+    assert episode.action[back[0], 0] < 0.0
+    assert np.abs(np.diff(episode.action[:, command.ARMS], axis=0)).max() < 0.45  # rad a tick: no jerk
+
+
+def test_each_try_that_walks_past_its_goal_counts() -> None:
+    impatient = Settings(retries=2, locomotion=LocomotionSettings(max_ticks=5))
+    attempts = Attempts(TASK, demonstrations.load(task=TASK), "R3", 0, settings=impatient)
+    (episode,) = attempts.run([0])
+    attempts.close()
+    assert (episode.outcome, episode.stage, episode.retries) == ("off_course", stages.LOCOMOTION, 2)
+
+
+def test_hands_that_cannot_reach_are_taken_back_the_way_they_came() -> None:
+    demonstration = demonstrations.load(task=TASK)
+    targets = demonstration.hand_targets.copy()
+    targets[:, 1, 2] += 1.0
+    unreachable = dataclasses.replace(demonstration, hand_targets=targets)
+    attempts = Attempts(TASK, unreachable, "R1", 0, settings=Settings(retries=1))
+    (episode,) = attempts.run([0])
+    attempts.close()
+    assert (episode.outcome, episode.stage, episode.retries) == ("ik_failed", stages.PRE_MANIPULATION, 1)

@@ -1,0 +1,113 @@
+"""The report: one file with everything inside, numbers from the records, nothing from names left unescaped."""
+
+import base64
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gym_demohlm.errors import PolicyError
+from lerobot_demohlm import cli, quickstart
+from lerobot_demohlm.datasets.episode import OUTCOMES
+from lerobot_demohlm.policies import training
+from lerobot_demohlm.reports.report import Film, film_strip, render_report, write_video
+
+
+def make_records() -> list[dict]:
+    return [
+        {
+            "task": "LiftBox",
+            "region": "R1",
+            "seed": seed,
+            "policy": "chunked_mlp",
+            "policy_hash": "0" * 64,
+            "num_train_episodes": 100,
+            "success_ever": True,
+            "success_end": seed != 1,
+            "success_held": seed > 1,
+            "outcome": "success" if seed > 1 else "dropped",
+            "length_s": 9.5,
+            "clipped": 0,
+            "initial_state": {"robot": [-0.5 - 0.01 * seed, 0.0, 0.1], "object": [0.0, 0.0, 0.0]},
+        }
+        for seed in range(10)
+    ]
+
+
+def make_film() -> Film:
+    frames = [np.full((48, 64, 3), 20 * index, dtype=np.uint8) for index in range(11)]
+    return Film(frames=frames, caption="A <rollout>")
+
+
+def test_film_strip_shows_first_to_last_frame() -> None:
+    strip = np.asarray(Image.open(io.BytesIO(film_strip(make_film(), count=4, width=64))))
+    assert strip.shape == (96, 128, 3)
+    assert [strip[row, column, 0] for row, column in ((40, 60), (40, 120), (90, 60), (90, 120))] == [0, 60, 140, 200]
+
+
+def test_page_carries_everything(tmp_path: Path) -> None:
+    video = tmp_path / "rollout.mp4"
+    write_video(video, make_film())
+    facts = {
+        "task": "LiftBox",
+        "task_text": "Lift <the> box.",
+        "region": "R1",
+        "seed": 0,
+        "attempts": 20,
+        "successes": 18,
+        "success_rate": 0.9,
+        "outcomes": dict.fromkeys(OUTCOMES, 0) | {"success": 18, "ik_failed": 2},
+    }
+    page = render_report(
+        title="LiftBox",
+        facts=facts,
+        records=make_records(),
+        films=[make_film()],
+        video=video,
+        video_caption="first",
+        durations={"Training": 61.0},
+    )
+    assert "80.0 %" in page  # held
+    assert "90.0 %" in page  # at the end, and of the attempts
+    assert "49.0 %" in page  # lower end of 8 of 10
+    assert "94.3 %" in page
+    assert "ik failed" in page
+    assert "61 s" in page
+    assert "A &lt;rollout&gt;" in page
+    assert "Lift &lt;the&gt; box." in page
+    assert page.count("<circle") == 10
+    assert not re.search(r'(src|href)="(?!data:)', page)  # nothing is fetched
+    embedded = re.search(r"data:video/mp4;base64,([^\"]+)", page)
+    assert embedded is not None
+    assert base64.b64decode(embedded[1]) == video.read_bytes()
+    picture = re.search(r"data:image/png;base64,([^\"]+)", page)
+    assert picture is not None
+    assert Image.open(io.BytesIO(base64.b64decode(picture[1]))).format == "PNG"
+
+
+def test_quickstart_refuses_before_it_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["--root", str(tmp_path)], ["--task", "LiftBx"], ["--region", "R8"], ["--steps", "0"]):
+        root = [] if "--root" in arguments else ["--root", str(tmp_path / "new")]
+        assert cli.main(["quickstart", *root, *arguments]) == 2
+        assert capsys.readouterr().err.count("error: ") == 1
+    assert not (tmp_path / "new").exists()
+    with pytest.raises(PolicyError, match="num_rollouts=0"):
+        quickstart.Quickstart(root=tmp_path, num_rollouts=0)
+
+
+@pytest.mark.slow
+def test_training_of_the_quickstart(tmp_path: Path) -> None:
+    from lerobot_demohlm.datasets import writer
+    from lerobot_demohlm.evaluation.rollouts import load_policy
+    from tests.helpers.synthetic import make_episode
+
+    writer.write_dataset(tmp_path / "data", "local/data", [make_episode(index) for index in range(3)])
+    checkpoint = training.train(tmp_path / "train", tmp_path / "data", steps=2, seed=0)
+    loaded = load_policy(checkpoint, "LiftBox")
+    assert (loaded.kind, loaded.num_train_episodes) == ("chunked_mlp", 3)
+    saved = json.loads((checkpoint / "train_config.json").read_text())
+    assert (saved["batch_size"], saved["steps"]) == (512, 2)
