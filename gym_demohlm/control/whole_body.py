@@ -16,7 +16,7 @@ import numpy as np
 from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import arm_load, command, features, reference
 from gym_demohlm.control.settings import Settings
-from gym_demohlm.control.tick import LAST_ACTION, STATE_SIZE, Sensors, Tick
+from gym_demohlm.control.tick import LAST_ACTION, STANDING, STATE_SIZE, Sensors, Tick
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
@@ -144,6 +144,16 @@ class WholeBodyController:
     def last_action(self) -> np.ndarray:
         """What the policies did in the last tick, (N, 15)."""
         return self.state[:, LAST_ACTION].copy()
+
+    @property
+    def cycle_s(self) -> float:
+        """Period of the gait [s]."""
+        return self.reference.gait.period_s
+
+    @property
+    def standing(self) -> np.ndarray:
+        """Whose clocks rest, (N,) bool."""
+        return self.state[:, STANDING] > 0.5
 
     def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
         """Start the controllers of some worlds anew, standing at rest.

@@ -175,7 +175,7 @@ class Outcome:
     @property
     def stops(self) -> np.ndarray:
         """1 where no velocity is asked for, (N,)."""
-        return (np.abs(self.command[:, :3]) < reference.WALK_THRESHOLD).all(axis=1).astype(np.float64)
+        return np.where((np.abs(self.command[:, :3]) < reference.WALK_THRESHOLD).all(axis=1), 1.0, 0.0)
 
     @property
     def velocity_error(self) -> np.ndarray:
