@@ -189,6 +189,11 @@ class Simulation(Worlds):
         """The whole-body controller of these worlds."""
         return self._controller
 
+    @property
+    def last_control(self) -> np.ndarray:
+        """What the physics of the last tick was given, (n, motors, then mocap positions and quaternions)."""
+        return self._control[: len(self._stepped), -1].copy()
+
     def readings(self, sensor: str) -> tuple[np.ndarray, np.ndarray]:
         """Return what a sensor read in every physics step of the last step of 0.1 s.
 
