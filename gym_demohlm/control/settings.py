@@ -3,6 +3,7 @@
 Defaults are those of the first controller, whose file says less; a new controller may differ in any of them.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -92,31 +93,52 @@ class Settings:
         gait: The walking reference.
         slew: Fastest change of the command's first seven numbers, per second.
         trim: The slow correction.
+        stiffness: Position gains of the servos of ``g1.BODY_JOINTS`` [Nm/rad].
+        damping: Their velocity gains [Nms/rad].
     """
 
     gait: Gait = Gait()
     slew: tuple[float, ...] = (1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5)
     trim: Trim = Trim()
+    stiffness: tuple[float, ...] = tuple(g1.motor(joint).stiffness for joint in g1.BODY_JOINTS)
+    damping: tuple[float, ...] = tuple(g1.motor(joint).damping for joint in g1.BODY_JOINTS)
 
     def metadata(self) -> dict[str, Any]:
         """Return the settings as JSON holds them: what ``read`` takes."""
-        return {"gait": dict(vars(self.gait)), "slew": list(self.slew), "trim": dict(vars(self.trim))}
+        return {
+            "gait": dict(vars(self.gait)),
+            "slew": list(self.slew),
+            "trim": dict(vars(self.trim)),
+            "stiffness": dict(zip(g1.BODY_JOINTS, self.stiffness, strict=True)),
+            "damping": dict(zip(g1.BODY_JOINTS, self.damping, strict=True)),
+        }
 
     @classmethod
     def read(cls, metadata: Mapping[str, Any]) -> "Settings":
         """Return the settings in a weights file's metadata; what it does not mention is as it was at first.
 
         Raises:
-            SceneError: A setting that is not known here: a file of a later version.
+            SceneError: A setting that is not known here, or numbers that are missing or too many.
         """
         found = cls(
             gait=_read(Gait, metadata.get("gait", {}), "gait"),
-            slew=tuple(float(value) for value in metadata.get("slew", cls.slew)),
+            slew=tuple(metadata.get("slew", cls.slew)),
             trim=_read(Trim, metadata.get("trim", {}), "trim"),
+            stiffness=_of_joints(metadata.get("stiffness", {}), cls.stiffness),
+            damping=_of_joints(metadata.get("damping", {}), cls.damping),
         )
-        if len(found.slew) != len(cls.slew):
-            raise SceneError(f"a slew of {len(found.slew)} numbers", f"{len(cls.slew)}", "export the weights again")
+        numbers = (*found.slew, *found.trim.limits, *found.stiffness, *found.damping)
+        sizes = len(found.slew), len(found.trim.limits)
+        expected = len(cls.slew), len(cls.trim.limits)
+        if sizes != expected or not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
+            got = f"controller weights with a slew and a trim of {sizes} numbers, or some that are none"
+            raise SceneError(got, f"{expected}, finite", "export the weights again")
         return found
+
+
+def _of_joints(values: Mapping[str, float], default: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a number for each of ``g1.BODY_JOINTS``: of a mapping, or where it lacks one, as it was at first."""
+    return tuple(values.get(joint, first) for joint, first in zip(g1.BODY_JOINTS, default, strict=True))
 
 
 def _read[T](kind: type[T], values: Mapping[str, Any], name: str) -> T:
@@ -128,4 +150,11 @@ def _read[T](kind: type[T], values: Mapping[str, Any], name: str) -> T:
             f"settings among {sorted(known)}",
             "install the version that they were exported with",
         )
-    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+    try:
+        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+    except TypeError as error:
+        raise SceneError(
+            f"controller weights with {name} settings that cannot be read ({error})",
+            "numbers",
+            "export the weights again",
+        ) from error

@@ -17,8 +17,8 @@ from gym_demohlm.timing import CONTROL_DT
 _LEGS, _LOWER = len(g1.LEG_JOINTS), reference.NUM_LOWER
 _HISTORY = features.HISTORY * features.FRAME_SIZE
 LAST_ACTION = slice(_HISTORY, _HISTORY + features.ACTION_SIZE)
-_SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
-_CLOCK = _SLEWED.stop
+SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
+_CLOCK = SLEWED.stop
 STANDING = _CLOCK + 2
 _VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
 _ARMS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
@@ -146,7 +146,7 @@ class Tick:
         """
         state = np.zeros((len(slewed), STATE_SIZE))
         state[:, :_HISTORY] = np.tile(sensors.frame(), (1, features.HISTORY))
-        state[:, _SLEWED] = slewed
+        state[:, SLEWED] = slewed
         state[:, _CLOCK], state[:, _CLOCK + 1], state[:, STANDING] = clock
         state[:, _ARMS] = arms
         return state
@@ -162,7 +162,7 @@ class Tick:
         """
         q, dq, gyro = sensors.q, sensors.dq, sensors.gyro
         history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], sensors.frame()], axis=1)
-        current, stood = state[:, _SLEWED], state[:, STANDING] > 0.5
+        current, stood = state[:, SLEWED], state[:, STANDING] > 0.5
         goal = reference.admissible(commands, current, stood)
         slewed = reference.slew(current, goal, self.settings.slew)
         down = features.gravity(sensors.quat_wxyz)

@@ -16,7 +16,7 @@ import numpy as np
 from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import arm_load, command, features, reference
 from gym_demohlm.control.settings import Settings
-from gym_demohlm.control.tick import LAST_ACTION, STANDING, STATE_SIZE, Sensors, Tick
+from gym_demohlm.control.tick import LAST_ACTION, SLEWED, STANDING, STATE_SIZE, Sensors, Tick
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 
@@ -154,6 +154,11 @@ class WholeBodyController:
     def standing(self) -> np.ndarray:
         """Whose clocks rest, (N,) bool."""
         return self.state[:, STANDING] > 0.5
+
+    @property
+    def slewed(self) -> np.ndarray:
+        """The command as far as it has been slewed, (N, 7)."""
+        return self.state[:, SLEWED].copy()
 
     def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
         """Start the controllers of some worlds anew, standing at rest.

@@ -95,6 +95,9 @@ class Simulation(Worlds):
         super().__init__(task, num_worlds)
         model = self.model
         self._controller: Controller = controller or WholeBodyController(num_worlds)
+        if isinstance(self._controller, WholeBodyController):
+            settings = self._controller.settings
+            self.scene.set_gains(settings.stiffness, settings.damping)
         self._gaze = GazeController()
         threads = min(num_threads, num_worlds)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)

@@ -15,7 +15,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from gym_demohlm.control import attitude, command
+from gym_demohlm.control import attitude, command, controllers
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Controller, Simulation
@@ -407,7 +407,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--roll", type=float, default=0.4, help="largest torso roll of standing robots [rad]")
     parser.add_argument("--yaw", type=float, default=1.0, help="largest torso yaw of standing robots [rad]")
-    parser.add_argument("--weights", type=Path, help="other weights than the packaged ones")
+    parser.add_argument(
+        "--controller", type=controllers.find, dest="weights", metavar="NAME|PATH|HASH", help="another than the default"
+    )
+    parser.add_argument("--weights", type=Path, help="the same by its path")
     parser.add_argument("--hand-load", type=float, default=LARGEST_HAND_LOAD, help="largest mass in each hand [kg]")
     parser.add_argument(
         "--velocity-only", action="store_true", help="upright, arms still: as velocity policies are asked"

@@ -13,7 +13,6 @@ from gym_demohlm.control import features, reference
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.whole_body import WEIGHTS_FORMAT, read_arrays
 from gym_demohlm.errors import SceneError
-from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
 _SEEN = 30_000_000  # samples that the normaliser of imported weights is taken to have seen
@@ -80,8 +79,6 @@ def export_weights(
         "driven_joints": list(features.DRIVEN_JOINTS),
         "control_dt_s": CONTROL_DT,
         **settings.metadata(),
-        "stiffness": {joint: g1.motor(joint).stiffness for joint in g1.BODY_JOINTS},
-        "damping": {joint: g1.motor(joint).damping for joint in g1.BODY_JOINTS},
         **facts,
     }
     arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
