@@ -119,7 +119,7 @@ def _moments(task: Task) -> tuple[list[_Moment], list[_Moment]]:
     free: list[_Moment] = []
     for index, action in enumerate(demonstration.action.astype(np.float64)):
         state = simulation.snapshot()["physics"][0]
-        holds = any(simulation.contact_force(hand, name)[0] > 0.0 for hand, name in task.contact_pairs)
+        holds = any(np.any(simulation.contact_force(hand, name) > 0.0) for hand, name in task.contact_pairs)
         simulation.step(action[None])
         if index % _EVERY == 0:
             (touching if holds else free).append((state, simulation.last_control[0]))

@@ -216,7 +216,7 @@ class WholeBodyMdp:
         self.qvel[worlds] = self.rng.normal(0, 0.1, (count, 6 + _JOINTS))
         self.previous_action[worlds] = 0
         self.ticks[worlds] = 0
-        self._until_push[worlds] = self.rng.integers(25, self.config.push_every[1], count)
+        self._until_push[worlds] = self.rng.integers(0, self.config.push_every[1], count)
         self._since_push[worlds] = _RECENT
         self.privileged[worlds] = 0
         self.privileged[worlds, 7] = qpos[:, 2]

@@ -12,7 +12,7 @@ from gym_demohlm.robot.physics import FIRST, PHYSICS, SECOND, VERSIONS, Physics
 KINDS = pytest.mark.parametrize("kind", hands.HANDS)
 
 
-def _model(kind: str, physics: Physics) -> mujoco.MjModel:
+def _model(kind: hands.Hands, physics: Physics) -> mujoco.MjModel:
     return robot.robot_spec(kind, physics).compile()
 
 
@@ -40,7 +40,7 @@ def test_versions_are_told_apart_by_name() -> None:
 
 
 @KINDS
-def test_at_home_nothing_touches(kind: str) -> None:
+def test_at_home_nothing_touches(kind: hands.Hands) -> None:
     assert _touching(_model(kind, SECOND), g1.HOME) == set()
 
 
@@ -59,7 +59,7 @@ def test_arms_legs_and_feet_stop_one_another_in_the_second_physics(pose: np.ndar
 
 
 @KINDS
-def test_joints_rub_and_motors_are_limited(kind: str) -> None:
+def test_joints_rub_and_motors_are_limited(kind: hands.Hands) -> None:
     first, second = _model(kind, FIRST), _model(kind, SECOND)
     for joint in g1.BODY_JOINTS:
         drive, address = g1.motor(joint), first.joint(f"{joint}_joint").dofadr[0]
