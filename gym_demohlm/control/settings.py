@@ -87,7 +87,7 @@ UNTRIMMED = Trim(rate=0.0, limits=(0.0, 0.0, 0.0, 0.0, 0.0))
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """All of it.
+    """What a controller is besides its network.
 
     Attributes:
         gait: The walking reference.
