@@ -19,4 +19,4 @@ def wilson(share: float | np.ndarray, count: int) -> tuple[float | np.ndarray, f
     """Return the 95 % Wilson interval of shares out of ``count`` trials each."""
     middle = (share + _Z * _Z / (2 * count)) / (1 + _Z * _Z / count)
     half = _Z / (1 + _Z * _Z / count) * np.sqrt(share * (1 - share) / count + _Z * _Z / (4 * count * count))
-    return middle - half, middle + half
+    return np.minimum(middle - half, share), np.maximum(middle + half, share)  # they may differ by rounding alone
