@@ -56,6 +56,7 @@ class Controls:
         left: The left hand.
         right: The right hand.
         head: (4, 4) pose of the head in the operator's room; None where the device has none.
+        lean: Whether the head's motion moves the robot's head, and the torso with it; its heading counts anyway.
         walk: (3,) forward, left, turn left, each in [-1, 1].
         lift: -1 squats, 1 rises, 0 stays.
         age_s: How long ago this was heard of [s].
@@ -64,6 +65,7 @@ class Controls:
     left: HandControls = field(default_factory=HandControls)
     right: HandControls = field(default_factory=HandControls)
     head: np.ndarray | None = None
+    lean: bool = True
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
     lift: float = 0.0
     age_s: float = 0.0
@@ -108,6 +110,11 @@ class PoseClutch:
         """Move with the robot: ``T_world_moved`` (4, 4) is its motion in the world."""
         self._target = T_world_moved @ self._target
         self._turn = T_world_moved[:3, :3] @ self._turn
+
+    def shift(self, offset: np.ndarray) -> None:
+        """Move what follows by an offset (3,) [m]."""
+        self._target = self._target.copy()
+        self._target[:3, 3] += offset
 
     def follow(
         self, target: np.ndarray, device: np.ndarray | None, operator_yaw: float, robot_yaw: float
@@ -201,8 +208,12 @@ class Clutch:
                 self._grip_live[index] = False
                 continue
             target = clutch.follow(self._targets[index], hand.pose, operator_yaw, robot_yaw)
-            if hand.pose is None and hand.rate.any():
-                target = _nudged(target, hand.rate, base, view.T_world_hands[index])
+            if hand.rate.any():
+                nudged = _nudged(target, hand.rate, base, view.T_world_hands[index])
+                if hand.pose is not None:  # the device turns the hand, the sticks move it
+                    clutch.shift(nudged[:3, 3] - target[:3, 3])
+                    nudged[:3, :3] = target[:3, :3]
+                target = nudged
             self._targets[index] = target
             self._grippers[index] = self._grip(index, hand)
         self._follow_head(controls, view, present, operator_yaw, robot_yaw)
@@ -254,7 +265,7 @@ class Clutch:
             if rising:
                 self._head_target = None
             return
-        if not engaged or controls.head is None:
+        if not engaged or controls.head is None or not controls.lean:
             self._head.release()
             return
         target = view.T_world_head if self._head_target is None else self._head_target

@@ -111,14 +111,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm record``."""
     parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
     parser.add_argument(
-        "--teleop", choices=("scripted",), default="scripted", help="who operates (default: %(default)s)"
+        "--teleop",
+        choices=("scripted", "web"),
+        default="scripted",
+        help="who operates: the task's script, or a person at a page that is served (default: %(default)s)",
+    )
+    parser.add_argument("--host", default="localhost", help="web: where to listen; others than this machine get https")
+    parser.add_argument("--port", type=int, default=8012, help="web: where to listen, 0 for any (default: %(default)s)")
+    parser.add_argument("--scale", type=float, default=1.0, help="web: metres of a palm for a metre of a hand")
+    parser.add_argument("--operator", default="person", help="web: who records, written into the demonstration")
+    parser.add_argument(
+        "--trial", type=int, default=20, help="web: attempts generated before saving (default: %(default)s)"
     )
     parser.add_argument("--root", type=Path, required=True, help="directory to write; must not exist")
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Record a demonstration with the task's scripted operator."""
+    """Record a demonstration with the task's scripted operator, or with a person at a page."""
     task = get_task(arguments.task)
+    if arguments.teleop == "web":
+        from lerobot_demohlm.teleop.session import SessionSettings
+        from lerobot_demohlm.teleop.web.record import WebSettings, record_in_browser, trial_settings
+
+        session = SessionSettings(
+            scale=arguments.scale, operator=arguments.operator, trial=trial_settings(arguments.trial)
+        )
+        settings = WebSettings(host=arguments.host, port=arguments.port, session=session)
+        num_ticks = record_in_browser(task, arguments.root, settings)
+        print(f"{arguments.root}: {num_ticks} ticks by {arguments.operator}")
+        return
     if arguments.root.exists():
         raise DemonstrationError(f"the root {arguments.root}, which exists", "a new path", "choose another --root")
     script = script_of(task)

@@ -218,6 +218,11 @@ class RecordingSession:
         """Whether the world stands still."""
         return self._waiting or self.state in (REVIEW, SAVED)
 
+    @property
+    def targets(self) -> np.ndarray:
+        """(2, 4, 4) what is asked of the palms; where they are, before anything was asked."""
+        return self.recorder.view().T_world_hands if self._asked is None else self._asked.T_world_hands
+
     def advance(self, controls: Controls) -> None:
         """Make a step of 0.1 s, or none while the world stands still.
 
