@@ -13,8 +13,8 @@ from gym_demohlm import poses
 from gym_demohlm.task import Task
 
 SHOWN_GROUPS = 3  # geoms of groups 0, 1 and 2 are seen; the others only collide
-CELLS = 26  # cells along a mesh's longest side in which vertices are merged
-FINEST_M = 0.004  # smallest cell
+CELLS = 14  # cells along a mesh's longest side in which vertices are merged
+FINEST_M = 0.006  # smallest cell
 ROUND = 20  # sides of a circle
 HEAD_BODIES = ("neck_yaw_link", "neck_pitch_link")
 
@@ -159,8 +159,10 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> Triangles:
     np.add.at(merged, group, points)
     np.add.at(merged_normals, group, normals)
     merged /= number[:, None]
-    merged_normals /= np.maximum(np.linalg.norm(merged_normals, axis=1, keepdims=True), 1e-12)
+    lengths = np.linalg.norm(merged_normals, axis=1, keepdims=True)
+    merged_normals = np.where(lengths > 1e-12, merged_normals / np.maximum(lengths, 1e-12), [0.0, 0.0, 1.0])
     kept = group[faces]
     kept = kept[(kept[:, 0] != kept[:, 1]) & (kept[:, 1] != kept[:, 2]) & (kept[:, 2] != kept[:, 0])]
     _, chosen = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
-    return merged, merged_normals, kept[np.sort(chosen)]
+    used, renumbered = np.unique(kept[np.sort(chosen)], return_inverse=True)
+    return merged[used], merged_normals[used], renumbered.reshape(-1, 3)
