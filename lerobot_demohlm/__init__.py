@@ -8,6 +8,7 @@ import importlib
 
 
 def register() -> None:
-    """Make ``--env.type=demohlm`` and ``--policy.type=chunked_mlp`` known to LeRobot."""
-    for module in ("lerobot_demohlm.evaluation.env_config", "lerobot_demohlm.policies.chunked_mlp"):
+    """Make ``--env.type=demohlm``, ``--policy.type=chunked_mlp`` and the robots and teleoperators known to LeRobot."""
+    modules = ("evaluation.env_config", "policies.chunked_mlp", "devices")
+    for module in (f"{__name__}.{name}" for name in modules):
         importlib.import_module(module)

@@ -21,6 +21,7 @@ from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 
 SILENCE_S = 0.15  # age of the newest controls from which nobody is there: one step later, at most 0.3 s, it stands
 GLITCH_M = 0.3  # in one step of 0.1 s: no hand moves so fast, tracking has jumped
+RETURN_M = 0.1  # a hand that has moved less while nothing was heard of it goes on; one that moved further begins anew
 LEASH_M = 0.12  # how far keys and sticks may lead a palm's target from the palm, so that it does not run away
 HAND_SPEED = np.array([0.25, 0.25, 0.25, 1.0, 1.0, 1.0])  # m/s and rad/s of a hand rate of 1
 WALK_SPEED = ((-0.25, 0.45), (-0.25, 0.25), (-0.5, 0.5))  # m/s, m/s, rad/s of a stick at -1 and 1
@@ -96,6 +97,7 @@ class PoseClutch:
         self._target = np.eye(4)  # (4, 4) where the target was then
         self._turn = np.eye(3)  # from the operator's room to the robot's world
         self._last: np.ndarray | None = None  # (3,) where the device was a step ago [m]
+        self._paused = False
 
     @property
     def engaged(self) -> bool:
@@ -105,6 +107,10 @@ class PoseClutch:
     def release(self) -> None:
         """Let go: the next device pose counts as engaged anew."""
         self._device = self._last = None
+
+    def pause(self) -> None:
+        """Note that nothing is heard of the device: it goes on from there if it comes back near to where it was."""
+        self._paused = True
 
     def carry(self, T_world_moved: np.ndarray) -> None:
         """Move with the robot: ``T_world_moved`` (4, 4) is its motion in the world."""
@@ -130,7 +136,8 @@ class PoseClutch:
         if device is None:
             self.release()
             return target
-        glitch = self._last is not None and np.linalg.norm(device[:3, 3] - self._last) > GLITCH_M
+        limit, self._paused = RETURN_M if self._paused else GLITCH_M, False
+        glitch = self._last is not None and np.linalg.norm(device[:3, 3] - self._last) > limit
         self._last = device[:3, 3].copy()
         if self._device is None or glitch:
             self._device, self._target = device.copy(), target.copy()
@@ -203,7 +210,10 @@ class Clutch:
         robot_yaw = float(poses.yaw(base))
         operator_yaw = 0.0 if controls.head is None else _heading(controls.head)
         for index, (hand, clutch) in enumerate(zip(controls.hands, self._hands, strict=True)):
-            if not (hand.engaged and present):
+            if not present:
+                clutch.pause()
+                continue
+            if not hand.engaged:
                 clutch.release()
                 self._grip_live[index] = False
                 continue
@@ -252,8 +262,11 @@ class Clutch:
         self, controls: Controls, view: SceneView, present: bool, operator_yaw: float, robot_yaw: float
     ) -> None:
         """Set the head's target: the device's motion where it has a head, else how far the buttons squat."""
-        engaged = present and any(hand.engaged for hand in controls.hands)
-        if present and controls.lift:
+        if not present:
+            self._head.pause()
+            return
+        engaged = any(hand.engaged for hand in controls.hands)
+        if controls.lift:
             step = float(np.clip(controls.lift, -1.0, 1.0)) * LIFT_SPEED * STEP_DT
             squat = float(np.clip(self._squat + step, DEEPEST_SQUAT, 0.0))
             if self._head_target is None:

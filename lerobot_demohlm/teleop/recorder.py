@@ -65,6 +65,39 @@ def scene_view(sim: Simulation, tick: int) -> SceneView:
     )
 
 
+def solve(
+    ik: WholeBodyIK,
+    T_world_pelvis: np.ndarray,
+    joint_positions: np.ndarray,
+    asked: OperatorPoses,
+    last: np.ndarray,
+    walking: bool,
+) -> tuple[np.ndarray, IKSolution]:
+    """Return the command (23,) that does what an operator asks for, and what it leaves.
+
+    Args:
+        ik: The solver.
+        T_world_pelvis: (4, 4) as measured.
+        joint_positions: (29,) of the body joints as measured [rad].
+        asked: Poses and velocity.
+        last: (23,) the command before.
+        walking: Whether the torso must stay where the controller lets it while it steps.
+    """
+    solution = ik.solve(
+        T_world_pelvis=T_world_pelvis,
+        joint_positions=joint_positions,
+        T_world_left=asked.T_world_hands[0],
+        T_world_right=asked.T_world_hands[1],
+        T_world_head=asked.T_world_head,
+        previous=last,
+        walking=walking,
+    )
+    wanted = solution.command.copy()
+    wanted[command.GRIPPERS] = asked.grippers
+    wanted[command.VELOCITY] = asked.velocity
+    return wanted.astype(np.float32).astype(np.float64), solution  # what is recorded is what is applied
+
+
 class Recorder:
     """One world, the solver that moves it, and what has been recorded since ``begin``.
 
@@ -112,25 +145,13 @@ class Recorder:
             walking: Whether the torso must stay where the controller lets it while it steps.
         """
         sim = self.sim
-        solution = self._ik.solve(
-            T_world_pelvis=sim.pose("pelvis")[0],
-            joint_positions=sim.joint_positions[0],
-            T_world_left=asked.T_world_hands[0],
-            T_world_right=asked.T_world_hands[1],
-            T_world_head=asked.T_world_head,
-            previous=self._last,
-            walking=walking,
-        )
-        self.solution = solution
-        wanted = solution.command.copy()
-        wanted[command.GRIPPERS] = asked.grippers
-        wanted[command.VELOCITY] = asked.velocity
+        pelvis, joints = sim.pose("pelvis")[0], sim.joint_positions[0]
+        wanted, self.solution = solve(self._ik, pelvis, joints, asked, self._last, walking)
         return self.apply(wanted, asked)
 
     def apply(self, wanted: np.ndarray, asked: OperatorPoses) -> StepResult:
         """Carry out a command (23,) that was solved for these poses, now or in an earlier recording."""
         sim = self.sim
-        wanted = wanted.astype(np.float32).astype(np.float64)  # what is recorded is what was applied
         row: Row = {}
         if self._recording:
             self._before.append((sim.snapshot(), self._last))

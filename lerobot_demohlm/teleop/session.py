@@ -32,7 +32,7 @@ from lerobot_demohlm.demonstrations.segmentation import contact_events, gripper_
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.teleop.clutch import Clutch, Controls
 from lerobot_demohlm.teleop.journal import Found, Journal
-from lerobot_demohlm.teleop.operator import OperatorPoses
+from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.recorder import Recorder, take_over
 from lerobot_demohlm.teleop.trial import Trial, TrialReport, TrialSettings
 
@@ -222,6 +222,14 @@ class RecordingSession:
     def targets(self) -> np.ndarray:
         """(2, 4, 4) what is asked of the palms; where they are, before anything was asked."""
         return self.recorder.view().T_world_hands if self._asked is None else self._asked.T_world_hands
+
+    def view(self) -> SceneView:
+        """Return what the operator sees."""
+        return self.recorder.view()
+
+    def __len__(self) -> int:
+        """Return the number of recorded steps."""
+        return len(self.recorder)
 
     def advance(self, controls: Controls) -> None:
         """Make a step of 0.1 s, or none while the world stands still.

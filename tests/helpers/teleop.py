@@ -127,9 +127,10 @@ def fetch_iwer(directory: Path) -> Path:
 
 
 @contextmanager
-def opened(browser: Any, address: str, *scripts: str | Path) -> Iterator[Any]:
-    """Open a page that shows the scene, with these scripts run before its own."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, bypass_csp=True)  # to evaluate strings
+def opened(browser: Any, address: str, *scripts: str | Path, small: bool = False) -> Iterator[Any]:
+    """Open a page that shows the scene, with these scripts run before its own; a small one is drawn sooner."""
+    size = {"width": 480, "height": 320} if small else {"width": 1280, "height": 800}
+    context = browser.new_context(viewport=size, bypass_csp=True)  # to evaluate strings
     page = context.new_page()
     page.problems = []
     page.on("pageerror", lambda error: page.problems.append(str(error)))
@@ -166,7 +167,7 @@ class HeadsetHands:
     def __init__(self, page: Any) -> None:
         self._page = page
         page.evaluate("document.getElementById('head-moves').checked = false")
-        page.click("#enter-vr")
+        page.evaluate("document.getElementById('enter-vr').click()")
         page.wait_for_function("demohlm.controls.xr && demohlm.controls.xr.hands.right.pose", timeout=60_000)
         self._T_room_controller = [
             poses.pose([*p[:3]], [*p[3:]])
@@ -203,6 +204,11 @@ class HeadsetHands:
     def stick(self, side: str, x: float, y: float) -> None:
         """Push a thumbstick; y is -1 ahead."""
         self._page.evaluate(f"headset.controllers.{side}.updateAxes('thumbstick', {x}, {y})")
+
+    def behind(self, status: dict[str, Any], asked: OperatorPoses) -> float:
+        """Return how far the palms' targets are from what was asked of the controllers [m]."""
+        targets = np.array([status["poses"][f"{side}_target"][:3] for side in SIDES])
+        return float(np.abs(targets - asked.T_world_hands[:, :3, 3]).max())
 
     def move(self, asked: OperatorPoses) -> None:
         """Bring the controllers to where the palms are asked to be, and the triggers with them."""

@@ -17,16 +17,19 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from aiohttp import WSMsgType, web
 
 from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import pose_numbers
 from lerobot_demohlm.teleop.clutch import Controls
+from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.realtime import RealTimeWorld, TickedSimulation
-from lerobot_demohlm.teleop.session import SAVED, RecordingSession
+from lerobot_demohlm.teleop.session import SAVED, Status
 from lerobot_demohlm.teleop.web import protocol, scene
 from lerobot_demohlm.teleop.web.certificate import make_context
 
@@ -138,6 +141,55 @@ class _Client:
         self.news.set()
 
 
+class Session(Protocol):
+    """What is served: ``RecordingSession``, or the world of a robot that LeRobot records."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        ...
+
+    @property
+    def sim(self) -> Simulation:
+        """One world of it, a ``TickedSimulation``."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """See ``Status``."""
+        ...
+
+    @property
+    def paused(self) -> bool:
+        """Whether the world stands still."""
+        ...
+
+    @property
+    def targets(self) -> np.ndarray:
+        """(2, 4, 4) what is asked of the palms."""
+        ...
+
+    def __len__(self) -> int:
+        """Return the number of recorded steps."""
+        ...
+
+    def view(self) -> SceneView:
+        """Return what the operator sees."""
+        ...
+
+    def press(self, button: str) -> None:
+        """Do what a button stands for."""
+        ...
+
+    def advance(self, controls: Controls) -> None:
+        """Make a step of 0.1 s."""
+        ...
+
+    def status(self) -> Status:
+        """Return what the operator needs to know now."""
+        ...
+
+
 class TeleopServer:
     """Serves one session until its demonstration is saved.
 
@@ -146,19 +198,23 @@ class TeleopServer:
         host: Where to listen; names other than of this machine alone get https.
         port: Where to listen; 0 for any that is free.
         announce: Given one line of JSON with the addresses.
+        pace: What holds the world to the clock, where somebody else steps it.
+        step: Waits for that other's next step; the session is not waited for then.
     """
 
     def __init__(
         self,
-        session: RecordingSession,
+        session: Session,
         host: str = "localhost",
         port: int = 8012,
         announce: Callable[[str], None] = print,
+        pace: RealTimeWorld | None = None,
+        step: Callable[[], None] | None = None,
     ) -> None:
         sim = session.sim
         assert isinstance(sim, TickedSimulation)  # whoever makes the session makes it so
         self.session, self.sim, self.host, self.port, self._announce = session, sim, host, port, announce
-        self.world = RealTimeWorld(sim)
+        self.world, self._other = pace or RealTimeWorld(sim), step
         self.inputs, self.latencies = Inputs(), Latencies()
         self._package = scene.package(sim.model, session.task)
         self._colors = np.array([scene.geom_rgba(sim.model, geom) for geom in self._package.geoms])
@@ -191,7 +247,9 @@ class TeleopServer:
 
     def _step(self) -> None:
         session = self.session
-        if session.paused:
+        if self._other is not None:
+            self._other()
+        elif session.paused:
             self.world.start()
             self._stop.wait(PAUSED_S)
         else:
@@ -212,7 +270,8 @@ class TeleopServer:
         except DemoHLMError as error:
             _log.info("%s: %s", button, error)
             self._send(client, {"type": "error", "message": str(error)})
-        self.world.start()
+        if self._other is None:
+            self.world.start()
 
     def _before_tick(self, tick: int, wait: Callable[[int], None]) -> None:
         wait(tick)
@@ -221,7 +280,7 @@ class TeleopServer:
 
     def _publish_frame(self) -> None:
         targets = self.session.targets
-        content = protocol.frame(time.time(), len(self.session.recorder), self.sim.body_poses(), pose_numbers(targets))
+        content = protocol.frame(time.time(), len(self.session), self.sim.body_poses(), pose_numbers(targets))
         self._in_loop(lambda: [client.show(content) for client in self._clients])
 
     def _publish_status(self) -> None:
@@ -239,7 +298,7 @@ class TeleopServer:
         self._in_loop(lambda: [client.tell(text) for client in self._clients])
 
     def _poses(self) -> dict[str, list[float]]:
-        view = self.session.recorder.view()
+        view = self.session.view()
         named = {"pelvis": view.T_world_pelvis, "head": view.T_world_head} | dict(view.T_world_objects)
         named |= {"left_palm": view.T_world_hands[0], "right_palm": view.T_world_hands[1]}
         targets = self.session.targets
@@ -266,6 +325,10 @@ class TeleopServer:
 
     # The browsers' thread
 
+    def stop(self) -> None:
+        """Stop serving, from any thread."""
+        self._stop.set()
+
     def run(self) -> None:
         """Serve until the demonstration is saved, or Ctrl-C."""
         asyncio.run(self.serve())
@@ -291,7 +354,8 @@ class TeleopServer:
         thread.start()
         try:
             await self._finished.wait()
-            await asyncio.sleep(GOODBYE_S)
+            if self.session.state == SAVED:
+                await asyncio.sleep(GOODBYE_S)
         finally:
             self._stop.set()
             await asyncio.to_thread(thread.join, 5.0)

@@ -98,6 +98,15 @@ def test_silence_stands_still_and_holds() -> None:
     np.testing.assert_array_equal(silent.T_world_hands, going.T_world_hands)
 
 
+@pytest.mark.parametrize(("moved", "follows"), [(0.05, True), (0.2, False)])
+def test_after_a_silence_a_hand_goes_on_if_it_is_near(moved: float, follows: bool) -> None:
+    clutch = Clutch()
+    here, there = poses.pose([0.0, 0.0, 1.0]), poses.pose([moved, 0.0, 1.0])
+    start = clutch.poses(right(here), view()).T_world_hands[1, 0, 3]
+    clutch.poses(right(here, age_s=1.0), view())
+    assert clutch.poses(right(there), view()).T_world_hands[1, 0, 3] == pytest.approx(start + moved * follows)
+
+
 def test_small_sticks_do_nothing() -> None:
     asked = Clutch().poses(Controls(walk=np.array([0.1, -0.1, 0.1])), view())
     assert not asked.velocity.any()

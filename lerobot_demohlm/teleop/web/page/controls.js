@@ -39,6 +39,7 @@ export class Controls {
     this.orientation = null;
     this.device = "keyboard";
     this.pads = {};
+    this.tracked = new Set();  // sides whose controllers have been seen by the headset's cameras
     this.sequence = 0;
     this.xr = null;  // set by the session of WebXR at each of its frames
     this.headMoves = () => true;
@@ -255,7 +256,8 @@ export class Controls {
       }
       const pose = source.gripSpace && frame.getPose(source.gripSpace, space), pad = source.gamepad;
       const value = (i) => pad && pad.buttons[i] ? pad.buttons[i].value : 0;
-      const lost = !pose || pose.emulatedPosition;
+      if (pose && !pose.emulatedPosition) this.tracked.add(side);  // some devices never say so
+      const lost = !pose || (pose.emulatedPosition && this.tracked.has(side));
       Object.assign(hands[side], { pose: lost ? null : numbers(pose.transform), engaged: value(1) > 0.5, grip: value(0) });
       const [x, y] = pad ? [pad.axes[2] || 0, pad.axes[3] || 0] : [0, 0];
       if (side === "left") {

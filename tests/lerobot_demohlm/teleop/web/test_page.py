@@ -21,6 +21,8 @@ window.padSet = (i, v) => { pad.buttons[i] = {pressed: v > 0.5, value: v}; };
 navigator.getGamepads = () => [window.pad];
 """
 
+CAUGHT_UP_M = 0.004
+MOST_STEPS = 2  # of the script at once
 BOXES = """
 [...document.querySelectorAll('button, #status, #task, #stage > p, section p, section table')]
   .filter(e => e.checkVisibility() && !e.closest('#touch'))
@@ -153,7 +155,7 @@ def test_two_browsers_and_nothing_overlaps(served: Served, browser: Any) -> None
 
 
 def test_a_headset_engages_again_without_a_jump_and_bare_hands_work(served: Served, browser: Any, iwer: Path) -> None:
-    with opened(browser, served.invite(), iwer, HEADSET) as page:
+    with opened(browser, served.invite(), iwer, HEADSET, small=True) as page:
         hands = HeadsetHands(page)
         hands.squeeze()
         page.evaluate("headset.controllers.right.position.set(0.25, 1.25, -0.4)")
@@ -177,7 +179,7 @@ def test_a_headset_engages_again_without_a_jump_and_bare_hands_work(served: Serv
         page.evaluate("headset.primaryInputMode = 'hand'")
         page.wait_for_function("demohlm.controls.device === 'hands' && demohlm.controls.xr.hands.left.pose")
         assert page.evaluate("demohlm.xrFrames") > 10
-        page.evaluate("headset.activeXRSession ? 0 : 0; demohlm.session.end()")
+        page.evaluate("demohlm.session.end()")
 
 
 def drive(served: Served, page: Any, push: tuple[float, int, int] | None = None) -> None:
@@ -192,17 +194,19 @@ def drive(served: Served, page: Any, push: tuple[float, int, int] | None = None)
     reach = getattr(operator, "_reach", operator)
     hands = HeadsetHands(page)
     hands.squeeze()
-    page.click("#record")
+    page.evaluate("document.getElementById('record').click()")
     page.wait_for_function("demohlm.status.state === 'recording'")
-    seen, view = 0, None
+    seen, asked = 0, None
     for status in statuses(page):
-        view = view_of(status)
-        asked = None
-        for _ in range(max(1, status["tick"] - seen)):
-            asked = reach.poses(view)
-        seen = max(seen, status["tick"])
-        if asked is None:
+        if asked is not None and hands.behind(status, asked) > CAUGHT_UP_M:
+            continue  # a slow machine: the hands wait for the robot, as a person's would
+        wanted, elapsed = None, status["tick"] - seen
+        for _ in range(min(max(1, elapsed), MOST_STEPS)):
+            wanted = reach.poses(view_of(status))
+        seen = status["tick"]
+        if wanted is None:
             break
+        asked = wanted
         hands.move(asked)
     if push is not None:
         speed, walk, stand = push
@@ -228,12 +232,11 @@ def test_a_recording_from_a_headset_is_an_ordinary_demonstration(
     root = tmp_path / "demonstration"
     served = Served(task, root)
     try:
-        with opened(browser, served.addresses["operator"], iwer, HEADSET) as page:
+        with opened(browser, served.addresses["operator"], iwer, HEADSET, small=True) as page:
             drive(served, page, push)
             page.evaluate("document.getElementById('record').click()")
             page.wait_for_function("demohlm.status.state === 'review'")
             assert page.evaluate("demohlm.status.verdict.refusal") == ""
-            page.screenshot(path=tmp_path / "review.png")
             print("latency", page.evaluate("demohlm.status.latency"), "late", page.evaluate("demohlm.status.late_s"))
             page.evaluate("document.getElementById('save').click()")
             page.wait_for_function("demohlm.status.state === 'saved'", timeout=60_000)
