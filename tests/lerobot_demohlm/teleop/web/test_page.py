@@ -22,7 +22,6 @@ navigator.getGamepads = () => [window.pad];
 """
 
 CAUGHT_UP_M = 0.004
-MOST_STEPS = 2  # of the script at once
 BOXES = """
 [...document.querySelectorAll('button, #status, #task, #stage > p, section p, section table')]
   .filter(e => e.checkVisibility() && !e.closest('#touch'))
@@ -200,9 +199,7 @@ def drive(served: Served, page: Any, push: tuple[float, int, int] | None = None)
     for status in statuses(page):
         if asked is not None and hands.behind(status, asked) > CAUGHT_UP_M:
             continue  # a slow machine: the hands wait for the robot, as a person's would
-        wanted, elapsed = None, status["tick"] - seen
-        for _ in range(min(max(1, elapsed), MOST_STEPS)):
-            wanted = reach.poses(view_of(status))
+        wanted = reach.poses(view_of(status))
         seen = status["tick"]
         if wanted is None:
             break
