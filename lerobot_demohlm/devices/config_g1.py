@@ -24,6 +24,8 @@ class DemoHLMG1Config(RobotConfig):
             step of 0.1 s, whatever time passes between them, so that the same actions give the same bits.
         region: From which each episode's objects are drawn.
         seed: Of these draws.
+        spread: Share of the region's offsets that is used: the robot begins where the scripted operators stand, whatever
+            the offsets.
         objects: Whether observations hold the objects' poses in the camera frame, behind the robot's own state.
     """
 
@@ -32,6 +34,7 @@ class DemoHLMG1Config(RobotConfig):
     pace: str = "clock"
     region: str = "R1"
     seed: int = 0
+    spread: float = 0.2
     objects: bool = False
 
     def __post_init__(self) -> None:

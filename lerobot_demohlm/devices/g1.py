@@ -69,7 +69,8 @@ class DemoHLMG1(Robot):
         config = self.config
         if self._world is not None:
             raise DeviceError("a second connection", "one", "disconnect first")
-        self._world = live.LiveWorld(self.task, config.region, config.seed, by_clock=config.pace == "clock")
+        by_clock = config.pace == "clock"
+        self._world = live.LiveWorld(self.task, config.region, config.seed, config.spread, by_clock=by_clock)
         self._last = command.rest()
         self._unhook = _on_new_episode(self.reset)
         live.set_current(self._world)

@@ -51,6 +51,7 @@ class LiveWorld:
         task: The task.
         region: From which each episode's objects are drawn.
         seed: Of these draws.
+        spread: Share of the region's offsets.
         by_clock: Whether a thread steps it.
 
     Attributes:
@@ -60,10 +61,10 @@ class LiveWorld:
         seen: The world after the last step.
     """
 
-    def __init__(self, task: Task, region: str, seed: int, *, by_clock: bool) -> None:
+    def __init__(self, task: Task, region: str, seed: int, spread: float, *, by_clock: bool) -> None:
         self.task, self.sim = task, TickedSimulation(task)
         self.pace = RealTimeWorld(self.sim)
-        self._region, self._seed, self._by_clock = region, seed, by_clock
+        self._region, self._seed, self._spread, self._by_clock = region, seed, spread, by_clock
         self._lock = threading.RLock()
         self._wanted, self._sent_at = command.rest(), -np.inf
         self._stop = threading.Event()
@@ -79,7 +80,8 @@ class LiveWorld:
             self._episode += 1
             self._step = 0
             self.pace.start()
-            take_over(self.sim, operators_place(self.task, self._seed + self._episode, self._region))
+            start = operators_place(self.task, self._seed + self._episode, self._region, self._spread)
+            take_over(self.sim, start)
             self.pace.start()
             self._wanted, self._sent_at = command.rest(), -np.inf
             self.seen = self._look()

@@ -31,13 +31,14 @@ class WebSettings:
     session: SessionSettings = field(default_factory=SessionSettings)
 
 
-def operators_place(task: Task, seed: int | None = None, region: str = "R1") -> InitialState:
+def operators_place(task: Task, seed: int | None = None, region: str = "R1", spread: float = 1.0) -> InitialState:
     """Return where robot and objects are when a person takes over.
 
     Args:
         task: The task.
         seed: Of objects moved by a region's offsets; None leaves them where they are by default.
         region: The region.
+        spread: Share of the region's offsets; the robot's place does not follow them.
     """
     try:
         start = script_of(task).start
@@ -46,7 +47,7 @@ def operators_place(task: Task, seed: int | None = None, region: str = "R1") -> 
     if seed is None:
         return start
     drawn = task.sample(region, np.random.default_rng([3, seed]))
-    return start | {"object": drawn["object"]}
+    return start | {"object": [spread * offset for offset in drawn["object"]]}
 
 
 def record_in_browser(task: Task, root: Path, settings: WebSettings | None = None) -> int:
