@@ -24,8 +24,7 @@ class DemoHLMG1Config(RobotConfig):
             step of 0.1 s, whatever time passes between them, so that the same actions give the same bits.
         region: From which each episode's objects are drawn.
         seed: Of these draws.
-        spread: Share of the region's offsets that is used: the robot begins where the scripted operators stand, whatever
-            the offsets.
+        spread: Share of the region's offsets that is used; the robot begins where the scripted operator would stand.
         objects: Whether observations hold the objects' poses in the camera frame, behind the robot's own state.
     """
 

@@ -48,6 +48,7 @@ function hear(message) {
     $("enter-vr").textContent = app.role === "operator" ? "Enter VR" : "Watch in VR";
   } else if (message.type === "status") {
     app.status = message;
+    controls.steps++;
     scene.engaged = message.engaged;
     scene.colors = message.colors;
     render(message);

@@ -39,6 +39,8 @@ export class Controls {
     this.orientation = null;
     this.device = "keyboard";
     this.pads = {};
+    this.steps = 0;  // of the world, that the page was told of
+    this.gripUntil = 0;  // step until which a gripper's key counts: the world looks ten times a second
     this.tracked = new Set();  // sides whose controllers have been seen by the headset's cameras
     this.sequence = 0;
     this.xr = null;  // set by the session of WebXR at each of its frames
@@ -61,7 +63,7 @@ export class Controls {
       else if (e.code.startsWith("Digit")) this.chosen = { left: e.code !== "Digit2", right: e.code !== "Digit1" };
       else if (e.code === "Space") for (const side of SIDES) { if (this.chosen[side]) this.grips[side] = 1 - this.grips[side]; }
       else this.keys.add(e.code);
-      if (e.code === "Space") this.gripUntil = performance.now() + 400;
+      if (e.code === "Space") this.gripUntil = this.steps + 4;
     });
     addEventListener("keyup", (e) => this.keys.delete(e.code));
     addEventListener("blur", () => { this.keys.clear(); this.drag = null; });
@@ -170,7 +172,7 @@ export class Controls {
       if (code in KEY_WALK) walk[KEY_WALK[code][0]] += KEY_WALK[code][1];
     }
     const closer = this.keys.has("Comma") - this.keys.has("Period");
-    const moving = rate.some((v) => v) || closer || performance.now() < (this.gripUntil || 0);
+    const moving = rate.some((v) => v) || closer || this.steps < this.gripUntil;
     for (const [side, inward] of [["left", -1], ["right", 1]]) {
       if (!this.chosen[side]) continue;
       hands[side].grip = this.grips[side];

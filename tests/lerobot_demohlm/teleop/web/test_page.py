@@ -236,7 +236,7 @@ def test_a_recording_from_a_headset_is_an_ordinary_demonstration(
             assert page.evaluate("demohlm.status.verdict.refusal") == ""
             print("latency", page.evaluate("demohlm.status.latency"), "late", page.evaluate("demohlm.status.late_s"))
             page.evaluate("document.getElementById('save').click()")
-            page.wait_for_function("demohlm.status.state === 'saved'", timeout=60_000)
+            page.wait_for_function("demohlm.status.state === 'saved'", timeout=300_000)  # imports LeRobot
     finally:
         served.close()
     assert served.error is None
