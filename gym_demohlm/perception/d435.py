@@ -17,6 +17,7 @@ from gym_demohlm.errors import SceneError
 HOLE = 0.0
 """Depth of a pixel that was not measured, as in the camera's own stream."""
 
+_EDGE = 0.5  # px of disparity between neighbours at an edge
 _SHADOW_STEPS = (4, 8, 12, 16, 24)  # px, where a nearer thing is looked for
 _KERNEL_REACH = 4  # a Gaussian kernel's half length in standard deviations
 
@@ -122,7 +123,7 @@ def measure(
     holes = np.zeros(shape, bool)
     if noise.edge_holes > 0:
         low, high = cv2.erode(disparity, _square(2)), cv2.dilate(disparity, _square(2))
-        holes |= (high - low > 1.0) & (rng.random(shape, np.float32) < noise.edge_holes)
+        holes |= (high - low > 2.0 * _EDGE) & (rng.random(shape, np.float32) < noise.edge_holes)
     if noise.subpixel > 0:
         disparity = disparity + np.float32(noise.subpixel) * correlated(shape, noise.correlation, rng)
     if noise.disparity_step > 0:
@@ -167,7 +168,7 @@ def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) ->
 
 def _move_edges(disparity: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
     """Let edges tremble and near things grow."""
-    disparity = disparity.astype(np.float32)
+    disparity = moved = disparity.astype(np.float32)
     if noise.edge_jitter > 0:
         rows, columns = disparity.shape
         # Drawn at half the resolution: the jitter is smooth over more than two pixels.
@@ -179,8 +180,10 @@ def _move_edges(disparity: np.ndarray, noise: DepthNoise, rng: np.random.Generat
         v *= np.float32(noise.edge_jitter)
         u += np.arange(columns, dtype=np.float32)
         v += np.arange(rows, dtype=np.float32)[:, None]
-        disparity = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    return cv2.dilate(disparity, _square(noise.fattening)) if noise.fattening else disparity
+        moved = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    if noise.fattening:
+        moved = cv2.dilate(moved, _square(noise.fattening))
+    return np.where(np.abs(moved - disparity) > _EDGE, moved, disparity)  # slanted faces stay
 
 
 def _square(reach: int) -> np.ndarray:

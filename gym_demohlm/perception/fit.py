@@ -1,8 +1,9 @@
 """Depth, a mask and a first guess -> the pose at which a mesh explains both: Gauss-Newton on two kinds of residuals.
 
 Each depth pixel inside the mask should lie on a face of the mesh that looks at the camera (point to plane). Each point
-of the mesh's outline should lie on the mask's edge (point to line), searched along the outline's normal; where something
-nearer hides the object, the mask's edge is not the object's and is skipped. All of it is in the frame ``optical``.
+of the mesh's outline should lie on the mask's edge (point to line), searched along the outline's normal; where
+something nearer hides the object, the mask's edge is not the object's and is skipped. All of it is in the frame
+``optical``.
 
 A stereo camera's depth is off by a constant factor. The outline tells the size and so the distance, so the factor is a
 seventh unknown. What earlier frames told of pose and factor is a prior (``Prior``), as in a Kalman filter.

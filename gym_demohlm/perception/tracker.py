@@ -33,7 +33,7 @@ _SCALE_SIGMA, _SCALE_DRIFT = 0.003, 1.5e-4  # of depth's factor, and how much it
 _RESTING = 0.0005, math.radians(0.1), 0.03  # m and rad a frame, share of the camera's motion that odometry misses
 _MOVING, _TURNING = 0.008, math.radians(3.0)  # m and rad a frame: more than a resting object seems to move
 _HANDLED = 0.01, math.radians(6.0)  # m and rad a frame, by which what a hand is near moves otherwise than foreseen
-_SURPRISE = 25.0  # squared deviations of six numbers that are not chance
+_SURPRISE = 16.0  # squared deviations of seven numbers: chance exceeds it once in forty frames
 _UNKNOWN = np.diag([0.0] * 6 + [_SCALE_SIGMA**-2])
 
 

@@ -73,7 +73,9 @@ def add_neck(spec: mujoco.MjSpec) -> None:
     head.contype, head.conaffinity, head.condim, head.group = g1.ROBOT_BIT, g1.WORLD_BIT, 3, 3
 
     pitch.add_site(name="head_camera", pos=LENS_POSITION, size=[0.005, 0.005, 0.005], group=5)
-    camera = pitch.add_camera(name="head", pos=LENS_POSITION, fovy=CAMERA_FOVY, resolution=[CAMERA_WIDTH, CAMERA_HEIGHT])
+    camera = pitch.add_camera(
+        name="head", pos=LENS_POSITION, fovy=CAMERA_FOVY, resolution=[CAMERA_WIDTH, CAMERA_HEIGHT]
+    )
     camera.quat = [0.5, 0.5, -0.5, -0.5]  # camera x = -y, y = z, -z = x of the site
     moving_mass = 2 * _BRACKET_MASS + dynamixel.MASS + _CAMERA_MASS
     _take_mass(torso, moving_mass, np.array(YAW_POSITION) + _MOVING_COM)
