@@ -25,7 +25,7 @@ from gym_demohlm.timing import STEP_DT
 
 PERCEPTION_STREAM = 7  # first number of a seed sequence, so that its draws are no other stream's
 SOURCES = ("exact", "rgbd")
-_HYSTERESIS = math.radians(10.0)  # by which an equivalent orientation must be nearer before it is taken
+_HYSTERESIS = math.radians(20.0)  # by which an equivalent orientation must be nearer before it is taken
 _NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
 _MARGIN = 60.0  # px around an object in which it is looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
@@ -364,7 +364,7 @@ def steady_equivalent(
 ) -> np.ndarray:
     """Return the pose (4, 4), among those that look the same, to be told: the nearest to the camera's heading.
 
-    The last one's equivalent stays until another is nearer by 10 degrees, so that noise at the border between two of
+    The last one's equivalent stays until another is nearer by 20 degrees, so that noise at the border between two of
     them does not turn the object to and fro.
 
     Args:

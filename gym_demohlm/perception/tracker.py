@@ -29,12 +29,11 @@ _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
 _PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
-_SCALE_SIGMA, _SCALE_DRIFT = 0.003, 1.5e-4  # of depth's factor, and how much it changes from frame to frame
+_SCALE_FLOOR, _SCALE_DRIFT = 1e-5, 0.05  # least doubt about depth's factor; share of the doubt that comes back a frame
 _RESTING = 0.0005, math.radians(0.1), 0.03  # m and rad a frame, share of the camera's motion that odometry misses
 _MOVING, _TURNING = 0.008, math.radians(3.0)  # m and rad a frame: more than a resting object seems to move
 _HANDLED = 0.01, math.radians(6.0)  # m and rad a frame, by which what a hand is near moves otherwise than foreseen
 _SURPRISE = 16.0  # squared deviations of seven numbers: chance exceeds it once in forty frames
-_UNKNOWN = np.diag([0.0] * 6 + [_SCALE_SIGMA**-2])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +74,9 @@ class Tracker:
         self.shape = fit.Shape(mesh)
         self.track: Track | None = None
         self._intrinsics, self._noise = intrinsics, noise or DepthNoise()
-        self._last = fit.Fit(np.eye(4), 1.0, _UNKNOWN)
+        self._scale_sigma = max(self._noise.scale_sigma, _SCALE_FLOOR)
+        self._unknown = np.diag([0.0] * 6 + [self._scale_sigma**-2])
+        self._last = fit.Fit(np.eye(4), 1.0, self._unknown)
         self._T_odom_optical = np.eye(4)  # when it was last seen
         self._moving, self._motion = False, np.eye(4)  # in odometry coordinates, from frame to frame
 
@@ -195,7 +196,7 @@ class Tracker:
         deviation[3:6] = _RESTING[1] + _RESTING[2] * turn
         if handled:
             deviation[:3], deviation[3:6] = _HANDLED
-        deviation[6] = _SCALE_DRIFT
+        deviation[6] = _SCALE_DRIFT * self._scale_sigma
         covariance = np.linalg.inv(self._last.information + 1e-3 * np.eye(7))
         covariance = to_now @ covariance @ to_now.T + np.diag(deviation**2)
         return fit.Prior(guess, self._last.scale, np.linalg.inv(covariance))
@@ -265,7 +266,7 @@ class Tracker:
 
     def _nothing(self, T: np.ndarray) -> fit.Prior:
         """Return the prior of who knows the depth camera only."""
-        information = _UNKNOWN.copy()
+        information = self._unknown.copy()
         information[6, 6] = max(information[6, 6], self._last.information[6, 6])
         return fit.Prior(T, self._last.scale, information)
 
