@@ -72,7 +72,6 @@ def test_without_noise_the_pose_is_right_to_a_third_of_a_millimetre(stage: Stage
         errors.append(_error(track.T_odom_object, stage.pose(), stage.task.objects[0]))
     stage.put(start)
     millimetres, degrees = np.array(errors).T
-    print(millimetres, degrees)
     assert np.median(millimetres) < 0.3 and np.median(degrees) < 0.5
 
 
