@@ -6,6 +6,7 @@ one call of ``register_task`` (``docs/adding_a_task.md``).
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
@@ -216,6 +217,11 @@ class Task:
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     memory: Memory | None = None
+
+    @property
+    def slug(self) -> str:
+        """The name as files and datasets have it: ``LiftBox`` -> ``lift_box``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", self.name).lower()
 
     @property
     def module(self) -> str:

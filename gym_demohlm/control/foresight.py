@@ -14,6 +14,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, least_squares
 from gym_demohlm.control import reference
 from gym_demohlm.robot import g1
+from gym_demohlm.timing import STEP_DT
 
 _WAIST = np.array([g1.BODY_JOINTS.index(joint) for joint in g1.WAIST_JOINTS])
 _SAMPLES = 20
@@ -48,7 +49,7 @@ class Foresight:
             lag by 10 to 18 ms.
     """
 
-    def __init__(self, dt: float = 0.1, horizon: float = 0.1) -> None:
+    def __init__(self, dt: float = STEP_DT, horizon: float = STEP_DT) -> None:
         times = dt * np.arange(1 - _SAMPLES, 1)
         design = _basis(times)
         damping = np.diag([0.0] * (_DEGREE + 1) + [_RIDGE] * (2 * _HARMONICS))

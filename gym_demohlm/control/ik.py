@@ -25,6 +25,7 @@ from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.urdf import urdf
+from gym_demohlm.timing import STEP_DT
 
 _ARMS = (command.LEFT_ARM, command.RIGHT_ARM)
 _ROOT, _TORSO = "heading", "torso_link"
@@ -106,7 +107,7 @@ class WholeBodyIK:
         T_world_head: np.ndarray | None = None,
         T_world_heading: np.ndarray | None = None,
         walking: bool = False,
-        dt: float = 0.1,
+        dt: float = STEP_DT,
     ) -> IKSolution:
         """Return the command that brings the palms to their targets, or as near as one step of `dt` gets.
 

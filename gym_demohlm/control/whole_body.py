@@ -13,6 +13,7 @@ import numpy as np
 
 from gym_demohlm.arithmetic import ExactProduct, elu
 from gym_demohlm.control import attitude, command, features, odometry, reference, trim
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
@@ -105,16 +106,14 @@ class WholeBodyController:
         ranges = g1.joint_ranges(g1.read_mjcf())
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
 
-    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Start the controllers of some worlds anew, standing at rest.
 
         Args:
             worlds: (M,) indices.
-            quat_wxyz: (M, 4) pelvis orientation in the world.
-            gyro: (M, 3) pelvis angular velocity in the pelvis frame [rad/s].
-            q: (M, 29) positions of ``g1.BODY_JOINTS`` [rad].
-            dq: (M, 29) their velocities [rad/s].
+            sensed: What the robots of these worlds sense, M rows.
         """
+        quat_wxyz, gyro, q, dq = sensed.quat_wxyz, sensed.gyro, sensed.q, sensed.dq
         seen = features.OBSERVED_INDEX
         frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
         state = np.zeros((len(worlds), STATE_SIZE))
@@ -124,28 +123,18 @@ class WholeBodyController:
         state[:, _ARM_TARGETS] = q[:, _ARM_POSITIONS]
         self.state[worlds] = state
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by one tick of 0.02 s.
 
         Args:
-            quat_wxyz: (M, 4) pelvis orientation; only its gravity direction is used.
-            gyro: (M, 3) pelvis angular velocity in the pelvis frame [rad/s].
-            q: (M, 29) positions of ``g1.BODY_JOINTS`` [rad].
-            dq: (M, 29) their velocities [rad/s].
+            sensed: What M robots sense; of the pelvis orientation only the direction of gravity is used.
             commands: (M, 23) within their bounds; velocity and torso are slewed here, arms pass through.
             worlds: (M,) which worlds these rows belong to; all by default.
 
         Returns:
             Joint targets (M, 29) [rad].
         """
+        quat_wxyz, gyro, q, dq = sensed.quat_wxyz, sensed.gyro, sensed.q, sensed.dq
         chosen = slice(None) if worlds is None else worlds
         state = self.state[chosen]
         rows, seen = len(state), features.OBSERVED_INDEX

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from gym_demohlm.control import command
-from gym_demohlm.envs.episode import Episodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.episode import RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.envs.rendering import Window
 from gym_demohlm.errors import CommandError, UnknownNameError
 from gym_demohlm.registry import get_task
@@ -55,7 +55,7 @@ class DemoHLMEnv(gym.Env):
         self.render_mode = render_mode
         self.observation_space = observation_space(definition, obs_type)
         self.action_space = action_space()
-        self._episodes = Episodes(definition, obs_type=obs_type, controller=controller)
+        self._episodes = RunningEpisodes(definition, obs_type=obs_type, controller=controller)
         self._max_episode_steps = self._episodes.max_steps
         self._window: Window | None = None
 

@@ -3,6 +3,7 @@
 Success is reported three ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
 and ``success_held`` (it held for 1 s without a break). ``is_success``, which LeRobot scores, is the strictest, the held
 one. An episode ends when the success was held, the robot fell or the physics broke down; the time limit truncates it.
+Successes, falls and collisions are judged as in generation (``simulation.judge``).
 """
 
 from collections.abc import Sequence
@@ -16,12 +17,10 @@ from gym_demohlm.envs import observation
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.simulation import Controller, Simulation
+from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
 
-HOLD_S = 1.0  # s
-HOLD_STEPS = round(HOLD_S / STEP_DT)
-COLLISION_FORCE = 1.0  # N; below it a touch is not worth the name
 OBSERVATION_TYPES = ("state", "pixels_agent_pos")
 Observation = dict[str, np.ndarray | dict[str, np.ndarray]]
 
@@ -34,7 +33,7 @@ class Transition:
         reward: (N,) 1 where the success condition holds, else 0.
         terminated: (N,) bool.
         truncated: (N,) bool.
-        info: Arrays (N,) by name, see ``Episodes.info``; "clipped" counts the numbers of the action out of bounds.
+        info: Arrays (N,) by name, see ``RunningEpisodes.info``.
     """
 
     reward: np.ndarray
@@ -43,7 +42,7 @@ class Transition:
     info: dict[str, np.ndarray]
 
 
-class Episodes:
+class RunningEpisodes:
     """N worlds with their episode counters; knows nothing of seeds or autoreset.
 
     Args:
@@ -73,20 +72,15 @@ class Episodes:
         self.sim = Simulation(task, num_worlds, num_threads, controller)
         self._renderer = Renderer(self.sim.model)
         self._steps = np.zeros(num_worlds, dtype=np.int64)
-        self._held_steps = np.zeros(num_worlds, dtype=np.int64)
-        self._success = np.zeros(num_worlds, dtype=bool)
-        self._success_ever = np.zeros(num_worlds, dtype=bool)
-        self._collided = np.zeros(num_worlds, dtype=bool)
+        self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
         """Begin new episodes in some worlds, all by default; one initial state each."""
         rows = np.arange(self.sim.num_worlds) if worlds is None else np.asarray(worlds)
         self.sim.reset(initial_states, rows)
-        self._steps[rows] = self._held_steps[rows] = self._clipped[rows] = 0
-        self._success_ever[rows] = self._collided[rows] = False
-        self._success[rows] = self.sim.success()[rows]
-        self._success_ever[rows] = self._success[rows]
+        self._judge.reset(rows)
+        self._steps[rows] = self._clipped[rows] = 0
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Transition:
         """Apply one action a world for 0.1 s.
@@ -102,33 +96,31 @@ class Episodes:
         result = self.sim.step(actions, moved)
         self._steps += moved
         self._clipped[moved] = result.num_clipped[moved]
-        self._success = np.where(moved, self.sim.success() & ~self.sim.unstable, self._success)
-        self._success_ever |= self._success
-        self._held_steps = np.where(moved, np.where(self._success, self._held_steps + 1, 0), self._held_steps)
-        self._collided |= result.collision_forces.max(axis=1) > COLLISION_FORCE
+        self._judge.watch(result, moved)
         info = self.info()
         terminated = info["success_held"] | info["fell"] | info["unstable"]
         truncated = ~terminated & (self._steps >= self.max_steps)
         return Transition(
-            reward=self._success.astype(np.float64), terminated=terminated, truncated=truncated, info=info
+            reward=self._judge.success.astype(np.float64), terminated=terminated, truncated=truncated, info=info
         )
 
     def info(self) -> dict[str, np.ndarray]:
         """Return what is known of each world's episode, (N,) each.
 
-        Keys: is_success, success, success_ever, success_held, fell, unstable, collided, each of the task's failures
-        (bool), and clipped, how many numbers of the last action were out of bounds.
+        Keys: is_success, success, success_ever, success_held, fell, unstable, collided (has pressed on an obstacle with
+        more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of the last action
+        were out of bounds.
         """
-        held = self._held_steps >= HOLD_STEPS
+        judge = self._judge
         return {
-            "is_success": held,
-            "success": self._success.copy(),
-            "success_ever": self._success_ever.copy(),
-            "success_held": held.copy(),
-            "fell": self.sim.fallen(),
-            "unstable": self.sim.unstable,
-            "collided": self._collided.copy(),
-            **self.sim.failures(),
+            "is_success": judge.success_held,
+            "success": judge.success.copy(),
+            "success_ever": judge.success_ever.copy(),
+            "success_held": judge.success_held,
+            "fell": judge.fell.copy(),
+            "unstable": judge.unstable.copy(),
+            "collided": judge.collided.copy(),
+            **{name: holds.copy() for name, holds in judge.failures.items()},
             "clipped": self._clipped.copy(),
         }
 

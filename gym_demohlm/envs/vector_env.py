@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
-from gym_demohlm.envs.episode import Episodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.episode import RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.errors import SceneError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Controller, Simulation
@@ -67,7 +67,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes = Episodes(definition, num_envs, num_threads, obs_type, controller)
+        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller)
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs

@@ -22,7 +22,6 @@ WAIST_JOINTS = ("waist_yaw", "waist_roll", "waist_pitch")
 ARM_JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in _ARM)
 BODY_JOINTS = LEG_JOINTS + WAIST_JOINTS + ARM_JOINTS
 
-PHYSICS_DT = 0.002  # s: the joint PD runs at 500 Hz (paper, "Hardware Design")
 MASS = 33.34  # kg, without hands and head
 PELVIS_HEIGHT = 0.74  # m above the floor, knees slightly bent
 _HOME_ARM = np.array([0.2, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0])  # rad

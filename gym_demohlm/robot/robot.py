@@ -3,6 +3,7 @@
 import mujoco
 
 from gym_demohlm.robot import g1, hands, neck
+from gym_demohlm.timing import PHYSICS_DT
 
 # Frames with sensors "<frame>_pos" (world position [m]) and "<frame>_quat" (world orientation, quat_wxyz).
 BODY_FRAMES = ("pelvis", "torso_link")
@@ -45,7 +46,7 @@ def set_options(spec: mujoco.MjSpec, kind: hands.Hands) -> None:
     8 mm/s and turn but for the no-slip pass, with which it is 0.01 mm/s, for a quarter more time a step. Without that
     pass sparse matrices save a sixth.
     """
-    spec.option.timestep = g1.PHYSICS_DT
+    spec.option.timestep = PHYSICS_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0

@@ -5,16 +5,18 @@ is carried over (the constraint solver starts cold at every controller tick). So
 any batch, on any number of threads, and from a restored snapshot.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.gaze import GazeController
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.simulation.worlds import Worlds
@@ -30,9 +32,25 @@ _CONTROL_SPEC = (
     | mujoco.mjtState.mjSTATE_MOCAP_POS.value
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
 )
-_SNAPSHOT_FIELDS = (
-    "physics", "mocap", "controller", "command", "neck", "forces", "collisions", "unstable", "start_poses"
-)  # fmt: skip
+OnTick = Callable[[np.ndarray, np.ndarray], None]
+"""Called after a controller tick with the worlds (n,) that took part and are sound, and the commands (N, 23)."""
+
+
+class Pool(Protocol):
+    """What steps the physics: ``mujoco.rollout.Rollout``, or a stand-in that looks on."""
+
+    def rollout(self, *arguments: Any, **options: Any) -> Any:  # noqa: ANN401
+        """Step worlds; see ``mujoco.rollout.Rollout.rollout``."""
+        ...
+
+    def close(self) -> None:
+        """Stop the threads."""
+        ...
+
+
+def make_pool(num_threads: int) -> Pool:
+    """Return what steps the physics on some threads; with one, in the thread that asks."""
+    return rollout.Rollout(nthread=num_threads if num_threads > 1 else 0)
 
 
 class Controller(Protocol):
@@ -41,20 +59,23 @@ class Controller(Protocol):
     state: np.ndarray
     """(num_worlds, state_size), everything it remembers."""
 
-    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
-        """Forget the past of these worlds; the other arguments have one row for each of them."""
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
+        """Forget the past of some worlds.
+
+        Args:
+            worlds: (M,) indices.
+            sensed: What their robots sense, M rows.
+        """
         ...
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Return the targets (rows, 29) [rad] of the body joints for one tick of these worlds."""
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
+        """Return the targets (M, 29) [rad] of the body joints for one tick.
+
+        Args:
+            sensed: What the robots sense, M rows.
+            commands: (M, 23), see command.NAMES.
+            worlds: (M,) which worlds these rows belong to; all by default.
+        """
         ...
 
 
@@ -85,10 +106,22 @@ class Simulation(Worlds):
         num_worlds: N.
         num_threads: Threads that step the physics; one does without a pool.
         controller: For N worlds; the shipped whole-body controller by default.
+        pool: What steps the physics, for as many threads; ``make_pool(num_threads)`` by default.
+
+    Attributes:
+        on_tick: Called after each controller tick, see ``OnTick``; None by default.
+
+    Raises:
+        SceneError: ``num_worlds`` or ``num_threads`` is less than 1.
     """
 
     def __init__(
-        self, task: Task, num_worlds: int = 1, num_threads: int = 1, controller: Controller | None = None
+        self,
+        task: Task,
+        num_worlds: int = 1,
+        num_threads: int = 1,
+        controller: Controller | None = None,
+        pool: Pool | None = None,
     ) -> None:
         if num_worlds < 1 or num_threads < 1:
             raise SceneError(f"num_worlds={num_worlds}, num_threads={num_threads}", "at least 1 each", "raise them")
@@ -97,7 +130,8 @@ class Simulation(Worlds):
         self._controller: Controller = controller or WholeBodyController(num_worlds)
         self._gaze = GazeController()
         threads = min(num_threads, num_worlds)
-        self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._pool = make_pool(threads) if pool is None else pool
+        self.on_tick: OnTick | None = None
         self._data = [mujoco.MjData(self.scene.physics) for _ in range(threads)]
         # Inputs and outputs of the rollouts, made once; the first rows are used where fewer worlds take part.
         substeps = round(CONTROL_DT / model.opt.timestep)  # physics steps a tick
@@ -134,7 +168,7 @@ class Simulation(Worlds):
             self._qpos[rows[:, None], self.scene.neck_qpos] = self._neck[rows]
         self._stale[rows] = True
         self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
-        self._controller.reset(rows, *self._proprioception(rows))
+        self._controller.reset(rows, self.proprioception(rows))
 
     def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
         """Apply one command a world for 0.1 s.
@@ -169,6 +203,8 @@ class Simulation(Worlds):
             now[:, command.ARMS] = (1.0 - share) * previous_arms + share * next_arms
             self._neck[stepped] = ((1.0 - share) * previous_neck + share * next_neck)[stepped]
             rows = self._tick(tick, rows, now)
+            if self.on_tick is not None:
+                self.on_tick(rows, now)
         forces[rows], collisions[rows] = self._measure(rows)
         self._stepped = rows
         self._forces[rows], self._collisions[rows] = forces[rows, -1], collisions[rows, -1]
@@ -210,9 +246,9 @@ class Simulation(Worlds):
         return self._stepped.copy(), np.concatenate(list(values), axis=1)
 
     def snapshot(self, worlds: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return the whole state of worlds (all by default) as arrays with one row each."""
+        """Return the whole state of worlds (all by default) as arrays with one row each, by the names of ``_state``."""
         rows = self._rows(worlds)
-        return {name: self._field(name)[rows].copy() for name in self._fields}
+        return {name: values[rows].copy() for name, values in self._state().items()}
 
     def restore(self, snapshot: dict[str, np.ndarray], worlds: np.ndarray | None = None) -> None:
         """Bring worlds (all by default) back to a snapshot, bit for bit.
@@ -220,20 +256,99 @@ class Simulation(Worlds):
         Raises:
             SceneError: The snapshot is of another task, controller or number of worlds.
         """
-        rows = self._rows(worlds)
-        for name in self._fields:
-            expected = (len(rows), *self._field(name).shape[1:])
+        rows, state = self._rows(worlds), self._state()
+        for name, values in state.items():
+            expected = (len(rows), *values.shape[1:])
             got = snapshot[name].shape if name in snapshot else None
             if got != expected:
                 raise SceneError(f"a snapshot with {name} of shape {got}", f"{expected}", "take it from such worlds")
-        for name in self._fields:
-            self._field(name)[rows] = snapshot[name]
+        for name, values in state.items():
+            values[rows] = snapshot[name]
         self._stale[rows] = True
 
-    @property
-    def _fields(self) -> tuple[str, ...]:
-        """What makes a world; a task that remembers nothing has no field for it."""
-        return _SNAPSHOT_FIELDS if self.task.memory is None else (*_SNAPSHOT_FIELDS, "memory")
+    def _state(self) -> dict[str, np.ndarray]:
+        """Return every array that makes a world, by its name in snapshots and in demonstrations on disk.
+
+        A task that remembers nothing has no "memory".
+        """
+        state = {
+            "physics": self._physics,
+            "mocap": self._mocap,
+            "controller": self._controller.state,
+            "command": self._command,
+            "neck": self._neck,
+            "forces": self._forces,
+            "collisions": self._collisions,
+            "unstable": self._unstable,
+            "start_poses": self._start_poses,
+        }
+        return state if self.task.memory is None else state | {"memory": self._memory}
+
+    def set_pose(self, name: str, T_world_body: np.ndarray, worlds: np.ndarray | None = None) -> None:
+        """Put a body somewhere else; its velocity and all other bodies stay as they are.
+
+        Args:
+            name: A body with a free joint, such as "pelvis" or an object, or a mocap body, such as a support.
+            T_world_body: (4, 4), or (n, 4, 4), one for each of the worlds.
+            worlds: (n,) which worlds; all by default.
+
+        Raises:
+            UnknownNameError: The model has no such frame.
+            SceneError: The body can be moved in neither way.
+        """
+        rows, model = self._rows(worlds), self.model
+        numbers = np.concatenate(poses.split(np.asarray(T_world_body, dtype=np.float64)), axis=-1)  # (7,) or (n, 7)
+        kind, index = self.scene.frame(name)
+        mocap = int(model.body_mocapid[index]) if kind == "body" else -1
+        if mocap < 0:
+            first, _ = self._free_addresses(name)
+            self._qpos[rows, first : first + 7] = numbers
+        else:
+            quats = 3 * model.nmocap  # where they begin
+            self._mocap[rows, 3 * mocap : 3 * mocap + 3] = numbers[..., :3]
+            self._mocap[rows, quats + 4 * mocap : quats + 4 * mocap + 4] = numbers[..., 3:]
+        self._stale[rows] = True
+
+    def set_velocity(self, name: str, velocity: np.ndarray, worlds: np.ndarray | None = None) -> None:
+        """Give a body with a free joint another velocity.
+
+        Args:
+            name: Of the body, such as "pelvis" or an object.
+            velocity: (6,), or (n, 6), one for each of the worlds: linear in the world [m/s], then angular in the
+                body's own frame [rad/s].
+            worlds: (n,) which worlds; all by default.
+
+        Raises:
+            UnknownNameError: The model has no such frame.
+            SceneError: The body has no free joint.
+        """
+        _, first = self._free_addresses(name)
+        self._qvel[self._rows(worlds), first : first + 6] = velocity
+
+    def set_joint(
+        self,
+        name: str,
+        position: np.ndarray | float | None = None,
+        velocity: np.ndarray | float | None = None,
+        worlds: np.ndarray | None = None,
+    ) -> None:
+        """Bring a hinge or slide joint to another position, another velocity, or both.
+
+        Args:
+            name: Of the joint in the model, such as "left_knee_joint".
+            position: One number or (n,) [rad or m]; None leaves it.
+            velocity: One number or (n,) [rad/s or m/s]; None leaves it.
+            worlds: (n,) which worlds; all by default.
+
+        Raises:
+            UnknownNameError: The model has no such joint.
+        """
+        rows, (qpos, qvel) = self._rows(worlds), self._joint_addresses(name)
+        if position is not None:
+            self._qpos[rows, qpos] = position
+            self._stale[rows] = True
+        if velocity is not None:
+            self._qvel[rows, qvel] = velocity
 
     def close(self) -> None:
         """Stop the threads."""
@@ -254,7 +369,7 @@ class Simulation(Worlds):
         chosen = slice(None) if everywhere else rows
         command_rows, before = commands[chosen], self._physics[chosen]
         worlds = None if everywhere else rows
-        targets = self._controller.step(*self._proprioception(chosen), command_rows, worlds)
+        targets = self._controller.step(self.proprioception(chosen), command_rows, worlds)
         grippers = command_rows[:, command.GRIPPERS][:, : self.scene.num_grippers]
         control = self._control[:count]
         control[:] = np.concatenate([targets, self._neck[chosen], grippers, self._mocap[chosen]], axis=1)[:, None]
@@ -293,18 +408,6 @@ class Simulation(Worlds):
         collisions = sensors[..., self.scene.collision_address].sum(axis=-1).max(axis=(2, 3), initial=0.0)
         return contacts.swapaxes(0, 1), collisions.T
 
-    def _proprioception(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return pelvis quaternion, gyro, joint positions and velocities of some worlds."""
-        scene = self.scene
-        qpos, qvel = self._qpos[rows], self._qvel[rows]
-        quat, gyro = scene.base_qpos + 3, scene.base_qvel + 3
-        return (
-            qpos[:, quat : quat + 4],
-            qvel[:, gyro : gyro + 3],
-            qpos[:, scene.body_qpos],
-            qvel[:, scene.body_qvel],
-        )
-
     def _next_neck(self) -> np.ndarray:
         """Return the neck's targets (N, 2) [rad] at the end of this step, turned towards the gaze target."""
         camera = self.pose("head_camera")
@@ -312,9 +415,6 @@ class Simulation(Worlds):
         p_camera_target = (camera[:, :3, :3] * offset[:, :, None]).sum(axis=1)
         # Columns in one piece, whatever N: NumPy may compute an arctangent by another routine where they are not.
         return self._gaze.step(self._neck, np.asfortranarray(p_camera_target), STEP_DT)
-
-    def _field(self, name: str) -> np.ndarray:
-        return self._controller.state if name == "controller" else getattr(self, f"_{name}")
 
     def _rows(self, worlds: np.ndarray | None) -> np.ndarray:
         return np.arange(self.num_worlds) if worlds is None else np.atleast_1d(np.asarray(worlds, dtype=np.int64))

@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.control import command
-from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.control.proprioception import Proprioception
+from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.scene import build_scene
+from gym_demohlm.simulation.judge import FALLEN_HEIGHT, FALLEN_TILT
 from gym_demohlm.task import Task
 
-FALLEN_HEIGHT = 0.33  # m; the lowest command is 0.40 m
 JAW_MARGIN = 0.002  # m: jaws this near to closed hold nothing
-FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS.value  # what a row of physics holds: time, qpos, qvel
 
 
@@ -84,6 +84,34 @@ class Worlds:
         """(N,) whether the physics broke down since the reset."""
         return self._unstable.copy()
 
+    def joint_position(self, name: str) -> np.ndarray:
+        """Return the position (N,) of a hinge or slide joint, by its name in the model [rad or m].
+
+        Raises:
+            UnknownNameError: The model has no such joint.
+        """
+        return self._qpos[:, self._joint_addresses(name)[0]].copy()
+
+    def joint_velocity(self, name: str) -> np.ndarray:
+        """Return the velocity (N,) of a hinge or slide joint, by its name in the model [rad/s or m/s].
+
+        Raises:
+            UnknownNameError: The model has no such joint.
+        """
+        return self._qvel[:, self._joint_addresses(name)[1]].copy()
+
+    def velocity(self, name: str) -> np.ndarray:
+        """Return the velocity (N, 6) of a body with a free joint, such as "pelvis" or an object.
+
+        The first three numbers are linear, in the world [m/s]; the others angular, in the body's own frame [rad/s].
+
+        Raises:
+            UnknownNameError: The model has no such frame.
+            SceneError: The body has no free joint.
+        """
+        _, first = self._free_addresses(name)
+        return self._qvel[:, first : first + 6].copy()
+
     @property
     def joint_positions(self) -> np.ndarray:
         """(N, 29) of the body joints, g1.BODY_JOINTS order [rad]."""
@@ -125,6 +153,18 @@ class Worlds:
         """(N, 3) angular velocity of the pelvis in its own frame [rad/s]."""
         start = self.scene.base_qvel + 3
         return self._qvel[:, start : start + 3].copy()
+
+    def proprioception(self, worlds: np.ndarray | slice | None = None) -> Proprioception:
+        """Return what the robots of some worlds sense, all by default; one row a world."""
+        scene, rows = self.scene, slice(None) if worlds is None else worlds
+        qpos, qvel = self._qpos[rows], self._qvel[rows]
+        quat, gyro = scene.base_qpos + 3, scene.base_qvel + 3
+        return Proprioception(
+            quat_wxyz=qpos[:, quat : quat + 4],
+            gyro=qvel[:, gyro : gyro + 3],
+            q=qpos[:, scene.body_qpos],
+            dq=qvel[:, scene.body_qvel],
+        )
 
     def pose(self, name: str) -> np.ndarray:
         """Return the pose (N, 4, 4) in the world of a frame: "pelvis", "torso", "left_palm", any object, body or site.
@@ -169,7 +209,7 @@ class Worlds:
         return self._forces[:, column + pairs.index(pair)].copy()
 
     def holds(self, side: str, name: str, force_n: float = 2.0) -> np.ndarray:
-        """Return whether a gripper (N,) is told to close, presses on an object and is kept from closing by it.
+        """Return whether a gripper (N,) is commanded to close, presses on an object and cannot close because of it.
 
         Args:
             side: "left" or "right".
@@ -177,9 +217,9 @@ class Worlds:
             force_n: Least normal force on it [N].
         """
         index = g1.SIDES.index(side)
-        told = self._command[:, command.GRIPPERS][:, index] > 0.5
+        closing = self._command[:, command.GRIPPERS][:, index] > 0.5
         kept_open = self.gripper_positions[:, index] < GRIPPER.stroke - JAW_MARGIN
-        return told & kept_open & (self.contact_force(side, name) >= force_n)
+        return closing & kept_open & (self.contact_force(side, name) >= force_n)
 
     @property
     def memory(self) -> np.ndarray:
@@ -213,6 +253,24 @@ class Worlds:
         if self.task.memory is not None:
             self.task.memory.draw(self.model, self._memory[world])
         return self._scratch
+
+    def _free_addresses(self, name: str) -> tuple[int, int]:
+        """Return where position and velocity of a body's free joint begin in qpos and qvel."""
+        kind, index = self.scene.frame(name)
+        joint = int(self.model.body_jntadr[index]) if kind == "body" else -1
+        if joint < 0 or self.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            raise SceneError(f"{name!r}, which has no free joint", "a body that moves freely", "name the whole object")
+        return int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
+
+    def _joint_addresses(self, name: str) -> tuple[int, int]:
+        """Return the addresses of a hinge or slide joint in qpos and qvel."""
+        model = self.model
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        if index < 0 or model.jnt_type[index] not in single:
+            known = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in single]
+            raise UnknownNameError("hinge or slide joint", name, known)
+        return int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index])
 
     def _refresh_frames(self) -> None:
         if not self._stale.any():

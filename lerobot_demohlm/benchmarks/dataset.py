@@ -26,6 +26,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import ROBOT_TYPE, GenerationFacts
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import data_file, episodes_file, features, write_dataset
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun
@@ -132,8 +133,11 @@ def measure_memory(num_episodes: int) -> dict[str, Any]:
         task_text=task.description,
         region="R3",
         seed=0,
+        num_episodes=None,
         num_attempts=num_episodes,
         block_size=BLOCK,
+        keep_failures=False,
+        variation=PLAIN,
         **hashes,
     )
     early = 0.0

@@ -312,7 +312,7 @@ def damage_blocks(bench: Bench, times: int) -> Tally:
     process = bench.begun(begun)
     process.kill()
     bench.finish(process)
-    facts = GenerationFacts(**json.loads((partial_directory(begun) / "run.json").read_text()))
+    facts = GenerationFacts.read(json.loads((partial_directory(begun) / "run.json").read_text()))
     tried = survived = lost = 0
     for _ in range(times):
         for damage in DAMAGES.values():

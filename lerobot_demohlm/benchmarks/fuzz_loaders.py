@@ -27,6 +27,7 @@ with atheris.instrument_imports(include=["lerobot_demohlm", "gym_demohlm.control
     from lerobot_demohlm.datasets import facts
     from lerobot_demohlm.datasets.episode import Episode
     from lerobot_demohlm.datasets.facts import GenerationFacts
+    from lerobot_demohlm.datasets.variation import PLAIN
     from lerobot_demohlm.demonstrations import demonstration
     from lerobot_demohlm.demonstrations.segmentation import segment
     from lerobot_demohlm.generation.block import block_directory, read_block, write_block
@@ -41,7 +42,11 @@ FACTS = GenerationFacts(
     demonstration_hash="",
     controller_hash="",
     model_hash="",
+    num_episodes=None,
     num_attempts=1,
+    block_size=8,
+    keep_failures=False,
+    variation=PLAIN,
 )
 LONGEST_S, MOST_MEMORY_MB = 20, 4096
 
@@ -70,7 +75,7 @@ def targets(scratch: Path) -> list[tuple[Path, Callable[[], object]]]:
     recorded = Path(shutil.copytree(demonstration.default_root(TASK), scratch / "demonstration"))
     found = demonstration.load(recorded, TASK)
     sidecar = recorded / demonstration.CORRECTIONS_PATH
-    sidecar.write_text(json.dumps({"segments": [vars(entry) for entry in segment(found)]}))
+    sidecar.write_text(json.dumps({"segments": [vars(entry) for entry in segment(found, TASK)]}))
     run = GenerationRun.open(scratch / "data", "user/name", FACTS)
     write_block(run.directory, FACTS, range(1), [failure()])
     run.close()
@@ -81,7 +86,7 @@ def targets(scratch: Path) -> list[tuple[Path, Callable[[], object]]]:
     weights = Path(shutil.copy(DEFAULT_WEIGHTS, scratch / "weights.npz"))
 
     def read_demonstration() -> None:
-        segment(demonstration.load(recorded))
+        segment(demonstration.load(recorded), TASK)
 
     def read_run() -> None:
         GenerationRun.open(scratch / "data", "user/name", FACTS).close()

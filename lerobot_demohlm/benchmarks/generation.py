@@ -14,13 +14,16 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from gym_demohlm.robot import g1
+from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
+from gym_demohlm.timing import PHYSICS_DT
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.runner import BLOCK_SIZE
+from lerobot_demohlm.generation.stages import Settings
 
 
 def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration: Path | None = None) -> dict[str, Any]:
@@ -33,11 +36,13 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         num_attempts: How many, 1 or more.
         demonstration: Directory of the demonstration; the packaged one by default.
     """
-    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, BLOCK_SIZE)
-    watch = Stopwatch()
-    watch.watch(attempts._sim._pool, "rollout", "mj_step")
-    watch.watch(attempts._sim._controller, "step", "controller")
-    watch.watch(attempts._ik, "solve", "inverse_kinematics")
+    watch, pool = Stopwatch(), make_pool(1)
+    sim = Simulation(task, BLOCK_SIZE, pool=pool)
+    plain = Settings(variation=PLAIN)  # as in all earlier measurements
+    attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, settings=plain, sim=sim)
+    watch.watch(pool, "rollout", "mj_step")
+    watch.watch(sim.controller, "step", "controller")
+    watch.watch(attempts.ik, "solve", "inverse_kinematics")
     successes, simulated, after_first = 0, 0.0, 0.0
     began = time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
@@ -63,7 +68,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         "cpu_s_per_attempt": round(total / num_attempts, 3),
         "seconds_per_episode": round(total / max(successes, 1), 3),
         "simulated_s_per_episode": round(simulated / max(successes, 1), 2),
-        "us_per_mj_step": round(1e6 * watch.seconds["mj_step"] * g1.PHYSICS_DT / simulated, 1),
+        "us_per_mj_step": round(1e6 * watch.seconds["mj_step"] * PHYSICS_DT / simulated, 1),
         **shares,
         "python_share": round(1.0 - sum(watch.seconds.values()) / total, 4),
         "episodes_per_hour_per_core": round(3600.0 * successes / total, 1),

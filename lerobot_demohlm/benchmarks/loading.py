@@ -16,6 +16,7 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets.facts import GenerationFacts, write_facts
+from lerobot_demohlm.datasets.variation import PLAIN
 
 TASK, LENGTH = "LiftBox", 130  # of random episodes, about as long as real ones [steps]
 
@@ -54,7 +55,16 @@ def write_random_dataset(root: Path, num_episodes: int) -> None:
     write_dataset(root, "local/random", episodes)
     hashes = dict.fromkeys(("demonstration_hash", "controller_hash", "model_hash"), "0" * 64)
     facts = GenerationFacts(
-        task=task.name, task_text=task.description, region="R1", seed=0, num_attempts=num_episodes, **hashes
+        task=task.name,
+        task_text=task.description,
+        region="R1",
+        seed=0,
+        num_episodes=None,
+        num_attempts=num_episodes,
+        block_size=num_episodes,
+        keep_failures=False,
+        variation=PLAIN,
+        **hashes,
     )
     write_facts(root, facts, [episode.record() for episode in episodes])
 

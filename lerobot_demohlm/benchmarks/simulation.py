@@ -14,7 +14,7 @@ import numpy as np
 
 from gym_demohlm.errors import SceneError
 from gym_demohlm.registry import get_task
-from gym_demohlm.simulation import Simulation
+from gym_demohlm.simulation import Pool, Simulation, make_pool
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
@@ -23,15 +23,22 @@ TURN = 10  # commands, a second
 
 
 class _Recorder:
-    """Stands in for a thread pool: passes rollouts on and keeps what they were asked and what they answered."""
+    """Passes rollouts on to a pool; while ``calls`` is a list, it keeps what they were asked and what they answered."""
 
-    def __init__(self, pool: Any) -> None:  # noqa: ANN401
-        self.pool, self.calls = pool, []
+    def __init__(self, pool: Pool) -> None:
+        self.pool = pool
+        self.calls: list[tuple[tuple[Any, ...], dict[str, Any], np.ndarray]] | None = None
 
     def rollout(self, models: Any, data: Any, initial: np.ndarray, control: np.ndarray, **options: Any) -> None:  # noqa: ANN401
+        if self.calls is None:
+            self.pool.rollout(models, data, initial, control, **options)
+            return
         inputs = (models, data, initial.copy(), control.copy())
         self.pool.rollout(*inputs, **options)
         self.calls.append((inputs, options, options["state"].copy()))
+
+    def close(self) -> None:
+        self.pool.close()
 
 
 def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
@@ -47,18 +54,17 @@ def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
     """
     clock = time.process_time if num_threads == 1 else time.perf_counter
     demonstration = demonstrations.load(None, task)
-    sim = Simulation(task, num_worlds, num_threads)
+    pool = _Recorder(make_pool(min(num_threads, num_worlds)))
+    sim = Simulation(task, num_worlds, num_threads, pool=pool)
     sim.restore({name: np.repeat(values, num_worlds, axis=0) for name, values in demonstration.start.items()})
     commands = np.repeat(demonstration.action[:, None].astype(np.float64), num_worlds, axis=1)
     seconds = {"simulation": 0.0, "mj_step": 0.0}
-    pool = sim._pool
     for first in range(0, len(commands), TURN):
         before, turn = sim.snapshot(), commands[first : first + TURN]
-        recorder = _Recorder(pool)
-        sim._pool = recorder  # pyright: ignore[reportAttributeAccessIssue]
+        pool.calls = calls = []
         for command in turn:
             sim.step(command)
-        sim._pool = pool
+        pool.calls = None
         sim.restore(before)
 
         began = clock()
@@ -67,11 +73,12 @@ def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
         seconds["simulation"] += clock() - began
 
         began = clock()
-        for inputs, options, _ in recorder.calls:
-            pool.rollout(*inputs, **options)
+        for inputs, options, _ in calls:
+            pool.pool.rollout(*inputs, **options)
         seconds["mj_step"] += clock() - began
-        _, options, recorded = recorder.calls[-1]
-        if not np.array_equal(options["state"], recorded) or not np.array_equal(recorded[:, -1], sim._physics):
+        _, options, recorded = calls[-1]
+        end = sim.snapshot()["physics"]
+        if not np.array_equal(options["state"], recorded) or not np.array_equal(recorded[:, -1], end):
             raise SceneError("other states by MuJoCo's step alone", "the simulation's, bit for bit", "report a bug")
     sim.close()
     steps = len(commands) * num_worlds * round(STEP_DT / sim.model.opt.timestep)

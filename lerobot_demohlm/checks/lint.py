@@ -20,18 +20,19 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
-from gym_demohlm.envs.episode import HOLD_S, HOLD_STEPS, max_episode_steps
+from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import all_tasks, get_task
-from gym_demohlm.robot import g1
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.checks.overlaps import Overlap, WatchedSimulation
+from gym_demohlm.timing import HOLD_S, HOLD_STEPS, PHYSICS_DT, STEP_DT
+from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration, load
 from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.attempt import Attempts
 
 ALL = "all"
@@ -39,7 +40,7 @@ REPLAYS_TOGETHER = 8  # side by side
 MIN_SUCCESS = 0.5  # of the replays
 MAX_DEPTH = 0.005  # m that one thing may be inside another
 IMPACT_SPEED = 5.0  # m/s, of what falls off a table, or of a hand when the robot falls
-MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * g1.PHYSICS_DT
+MAX_IMPACT_DEPTH = MAX_DEPTH + IMPACT_SPEED * PHYSICS_DT
 LEAST_CHANGE = 1e-6  # of a number of the observation over all starts and steps; below it is rounding
 PERIODS = (1, 10)  # steps after which a random command is followed by the next, in turn from world to world
 
@@ -113,14 +114,15 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = WatchedSimulation(task, settings.num_resets)
+    sim = Simulation(task, settings.num_resets)
+    watch = OverlapWatch(sim)
     sim.reset([task.sample(region, generators[region]) for region in regions])
-    sim.watch(np.arange(settings.num_resets))
+    watch.look(np.arange(settings.num_resets))
     where = f"{settings.num_resets} resets in {', '.join(task.regions)}"
     checks = [
         _never("success at a reset", sim.success(), where),
         _never("failure at a reset", _any_failure(sim), where),
-        _depth_check("depth at a reset", sim.deepest),
+        _depth_check("depth at a reset", watch.deepest),
     ]
     sim.close()
     return checks
@@ -135,7 +137,8 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
     generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
     regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
-    sim = WatchedSimulation(task, num_worlds)
+    sim = Simulation(task, num_worlds)
+    watch = OverlapWatch(sim)
     commands = np.tile(command.rest(), (num_worlds, 1))
     success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
     restart, seen = np.arange(num_worlds), []
@@ -164,8 +167,8 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
         _never("success by random commands", success[moved], random),
         *_check_observations(task, np.stack(seen)),
         _never("MuJoCo warning, NaN or speed", broken, f"{num_worlds} worlds"),
-        _depth_check("depth in these worlds", sim.lasting),
-        _depth_check("depth at impacts in these worlds", sim.deepest, MAX_IMPACT_DEPTH),
+        _depth_check("depth in these worlds", watch.lasting),
+        _depth_check("depth at impacts in these worlds", watch.deepest, MAX_IMPACT_DEPTH),
     ]
 
 
@@ -184,9 +187,10 @@ def _check_observations(task: Task, seen: np.ndarray) -> list[Check]:
 
 
 def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check]:
-    sim = WatchedSimulation(task)
+    sim = Simulation(task)
+    watch = OverlapWatch(sim)
     sim.restore(demonstration.start)
-    sim.watch(np.arange(1))
+    watch.look(np.arange(1))
     success, failure = [], []
     for action in demonstration.action:
         sim.step(action[None].astype(np.float64))
@@ -219,17 +223,19 @@ def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check
         ),
         _never("demonstration: failure", np.array(failure), f"{len(failure)} steps"),
         _never("demonstration: MuJoCo warning, NaN or speed", sim.unstable, "1 replay"),
-        _depth_check("demonstration: depth", sim.deepest),
+        _depth_check("demonstration: depth", watch.deepest),
     ]
     sim.close()
     return checks
 
 
 def _check_replays(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
-    """Replay the demonstration from other starts, as a generation run of that seed does."""
+    """Replay the demonstration from other starts, as a generation run of that seed without noise does."""
     count, region = settings.num_episodes, list(task.regions)[-1]
-    sim, broken = WatchedSimulation(task, min(count, REPLAYS_TOGETHER)), 0
-    attempts = Attempts(task, demonstration, region, settings.seed, sim=sim)
+    sim, broken = Simulation(task, min(count, REPLAYS_TOGETHER)), 0
+    watch = OverlapWatch(sim)
+    plain = stages.Settings(variation=PLAIN)
+    attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)
     outcomes: Counter[str] = Counter()
     for first in range(0, count, sim.num_worlds):
         outcomes.update(episode.outcome for episode in attempts.run(range(first, min(first + sim.num_worlds, count))))
@@ -245,7 +251,7 @@ def _check_replays(task: Task, demonstration: Demonstration, settings: Settings)
             number=share,
         ),
         _never("replays: MuJoCo warning, NaN or speed", np.ones(broken), f"{count} replays"),
-        _depth_check("replays: depth", sim.deepest),
+        _depth_check("replays: depth", watch.deepest),
     ]
 
 

@@ -1,12 +1,11 @@
-"""A task's worlds, stepped -> how deep things of the task were inside each other or the robot, and which."""
+"""A simulation, stepped -> how deep things of the task were inside each other or the robot, and which."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import InitialState, Task
+from gym_demohlm.timing import CONTROL_DT
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -22,34 +21,38 @@ class Overlap:
     where: str = "no contact"
 
 
-class WatchedSimulation(Simulation):
-    """A simulation that keeps the deepest contact of anything that the task added, looked for at every tick.
+class OverlapWatch:
+    """Keeps the deepest contact of anything that the task added to a simulation; it looks at every controller tick.
+
+    Args:
+        sim: The simulation; its ``on_tick`` calls ``look`` from now on.
 
     Attributes:
-        deepest: At any look.
-        lasting: At two looks in a row, 0.02 s apart; the lesser depth of the two.
+        deepest: The deepest overlap at any look.
+        lasting: The deepest overlap at two looks in a row, 0.02 s apart; its depth is the lesser one of the two.
     """
 
-    def __init__(self, task: Task, num_worlds: int = 1) -> None:
+    def __init__(self, sim: Simulation) -> None:
         self.deepest = self.lasting = Overlap()
-        self._before: list[dict[tuple[int, int], float]] = [{} for _ in range(num_worlds)]  # depth by pair of geoms
-        super().__init__(task, num_worlds)
-        model = self.model
+        self._sim = sim
+        self._before: list[dict[tuple[int, int], float]] = [{} for _ in range(sim.num_worlds)]  # depth by pair of geoms
+        self._looked_at = np.full(sim.num_worlds, np.nan)  # s, time of the last look
+        model = sim.model
         robot = model.body_rootid[model.body("pelvis").id]
         # Robot and floor alone are the controller's matter; a contact counts where a task's body takes part.
         self._added = model.body_rootid[model.geom_bodyid] != robot
         self._added[model.geom("floor").id] = False
 
-    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
-        """Begin episodes, in which nothing has lasted yet."""
-        for world in range(self.num_worlds) if worlds is None else worlds:
-            self._before[world] = {}
-        super().reset(initial_states, worlds)
+        sim.on_tick = lambda worlds, _commands: self.look(worlds)
 
-    def watch(self, worlds: np.ndarray) -> None:
+    def look(self, worlds: np.ndarray) -> None:
         """Look at the contacts of some worlds now."""
+        time = self._sim.time
         for world in worlds:
-            contacts = self.mj_data(int(world)).contact
+            if not abs(time[world] - self._looked_at[world] - CONTROL_DT) < 0.5 * CONTROL_DT:
+                self._before[world] = {}  # a reset or a pause lies between the looks
+            self._looked_at[world] = time[world]
+            contacts = self._sim.mj_data(int(world)).contact
             now: dict[tuple[int, int], float] = {}
             for (first, second), distance in zip(contacts.geom.tolist(), contacts.dist.tolist(), strict=True):
                 if distance < 0.0 and (self._added[first] or self._added[second]):
@@ -62,14 +65,10 @@ class WatchedSimulation(Simulation):
                     self.lasting = self._overlap(lasting, pair, world)
             self._before[world] = now
 
-    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        sound = super()._tick(tick, rows, commands)
-        self.watch(sound)
-        return sound
-
     def _overlap(self, depth: float, pair: tuple[int, int], world: int) -> Overlap:
-        names = " in ".join(self.model.geom(geom).name or self._body_name(geom) for geom in pair)
-        return Overlap(depth=depth, where=f"{names} at {self.time[world]:.2f} s in world {world}")
+        names = " in ".join(self._sim.model.geom(geom).name or self._body_name(geom) for geom in pair)
+        return Overlap(depth=depth, where=f"{names} at {self._sim.time[world]:.2f} s in world {world}")
 
     def _body_name(self, geom: int) -> str:
-        return self.model.body(self.model.geom_bodyid[geom]).name
+        model = self._sim.model
+        return model.body(model.geom_bodyid[geom]).name

@@ -18,6 +18,7 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
@@ -115,28 +116,28 @@ def _digest(content: Iterable[bytes]) -> str:
     return digest.hexdigest()
 
 
-def _sensors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return made-up proprioception of robots about their home pose: quaternion, gyro, positions, velocities."""
+def _sensed(rng: np.random.Generator, count: int) -> Proprioception:
+    """Return made-up proprioception of robots about their home pose."""
     quat_wxyz = np.array([1.0, 0.0, 0.0, 0.0]) + 0.05 * rng.uniform(-1, 1, (count, 4))
     quat_wxyz /= np.sqrt((quat_wxyz**2).sum(axis=1, keepdims=True))
     joints = len(g1.BODY_JOINTS)
-    return (
-        quat_wxyz,
-        rng.uniform(-0.5, 0.5, (count, 3)),
-        g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
-        rng.uniform(-1, 1, (count, joints)),
+    return Proprioception(
+        quat_wxyz=quat_wxyz,
+        gyro=rng.uniform(-0.5, 0.5, (count, 3)),
+        q=g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
+        dq=rng.uniform(-1, 1, (count, joints)),
     )
 
 
 def _controller() -> Iterable[bytes]:
     rng, controller = np.random.default_rng(1), WholeBodyController(_WORLDS)
-    controller.reset(np.arange(_WORLDS), *_sensors(rng, _WORLDS))
+    controller.reset(np.arange(_WORLDS), _sensed(rng, _WORLDS))
     low, high = command.LOWER, command.UPPER
     for tick in range(_TICKS):
         if tick % 20 == 0:
             commands = low + rng.random((_WORLDS, command.SIZE)) * (high - low)
             commands[: _WORLDS // 2, command.VELOCITY] = 0.0
-        yield controller.step(*_sensors(rng, _WORLDS), commands).tobytes()
+        yield controller.step(_sensed(rng, _WORLDS), commands).tobytes()
     yield controller.state.tobytes()
 
 
@@ -173,9 +174,8 @@ def _physics() -> Iterable[bytes]:
 
 
 def _attempts(task: Task, count: int) -> Iterable[bytes]:
-    """Yield what attempts of a task come to: its packaged demonstration, R3, seed 0, commands with noise."""
-    settings = Settings(command_noise=1.0)
-    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=settings)
+    """Yield what attempts of a task come to as `demohlm generate` makes them: packaged demonstration, R3, seed 0."""
+    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=Settings())
     try:
         for episode in attempts.run(range(count)):
             yield f"{episode.digest} {episode.outcome} {episode.stage} {GENERATION_STREAM}".encode()

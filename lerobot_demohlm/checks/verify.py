@@ -26,11 +26,11 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
+from gym_demohlm.simulation.judge import held
 from gym_demohlm.task import Task
 from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.facts import installed_versions, read_facts
 from lerobot_demohlm.datasets.reader import ACTION, ENVIRONMENT_STATE, STATE, SUCCESS, StoredEpisode
-from lerobot_demohlm.generation.attempt import held
 from lerobot_demohlm.reproducibility import fingerprint, provenance
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 from lerobot_demohlm.reproducibility.processes import end_with_parent

@@ -9,10 +9,9 @@ import numpy as np
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.simulation.judge import OUTCOMES
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.reproducibility.fingerprint import FIELDS
-
-OUTCOMES = ("success", "ik_failed", "fell", "dropped", "collided", "timeout", "off_course")
 
 
 @dataclass(frozen=True, kw_only=True)

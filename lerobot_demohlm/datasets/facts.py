@@ -1,7 +1,7 @@
 """A generation run -> the facts and records that a dataset keeps of it; without torch or lerobot.
 
-What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation_run.py`` and
-``generation_block.py``, which import lerobot only where they write or merge, through ``dataset_files.py``):
+What the generation runner needs, in the order in which it needs it (3 to 6 live in ``generation/run.py`` and
+``generation/block.py``, which import lerobot only where they write or merge, through ``datasets/writer.py``):
 
 1. ``Episode``: one attempt, success or not. A failed attempt may have no frames.
 2. ``GenerationFacts``: what a run is a function of. Two runs with equal facts end in equal datasets.
@@ -19,22 +19,23 @@ Only successful episodes are frames of the dataset; every attempt, failed ones i
 ``meta/demohlm_attempts.jsonl``. With ``facts.keep_failures`` failed attempts that have frames become a second dataset,
 ``<root>-failures``. The rows of ``meta/episodes`` say of each episode which attempt it was, how and in which stage it
 ended (``Episode.labels``), so LeRobot reads and filters them:
-``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``. With ``facts.command_noise`` they also
+``dataset.meta.filter_episodes(lambda episode: episode["outcome"] == "fell")``. With command noise they also
 hold the commands as executed, (T, 23) float32; the actions of the frames are those that were planned.
 """
 
+import copy
 import importlib.metadata
 import json
-import math
 import platform
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.datasets.episode import OUTCOMES
+from gym_demohlm.simulation.judge import OUTCOMES
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.reproducibility import provenance
 
 ROBOT_TYPE = "unitree_g1"
@@ -63,7 +64,30 @@ def installed_versions() -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class GenerationFacts:
-    """What a generation run is a function of; written to ``meta/demohlm.json``."""
+    """What a generation run is a function of; ``content`` of it is written to ``meta/demohlm.json``.
+
+    What a run chooses has no defaults here: those of ``GenerationRequest`` and ``DataVariation`` are the only ones.
+
+    Attributes:
+        task: Name of the task.
+        task_text: The task in words.
+        region: Initial region.
+        seed: Seed of the run.
+        demonstration_hash: SHA-256 of the demonstration.
+        controller_hash: SHA-256 of the controller's weights.
+        model_hash: SHA-256 of the compiled model.
+        num_episodes: Target: stop at this many successes; attempts after the last of them do not count. None where the
+            target is ``num_attempts``.
+        num_attempts: Target: make exactly this many attempts. None where the target is ``num_episodes``.
+        block_size: Attempts in a block, which one worker computes and finalizes at once.
+        keep_failures: Whether failed attempts become a second dataset.
+        variation: How attempts differ from plain ones.
+        versions: Versions of what decides bits; those of this installation unless given.
+        format_version: Of the files.
+
+    Raises:
+        DatasetError: Not exactly one target, or a target or block size below 1.
+    """
 
     task: str
     task_text: str
@@ -72,26 +96,16 @@ class GenerationFacts:
     demonstration_hash: str
     controller_hash: str
     model_hash: str
-    num_episodes: int | None = None
-    """Target: stop at this many successes (attempts after the last of them do not count)."""
-    num_attempts: int | None = None
-    """Target: make exactly this many attempts. One of the two targets is given."""
-    block_size: int = 8
-    """Attempts a block: what one worker computes and finalizes at once."""
-    keep_failures: bool = False
-    retries: int = 0
-    """How often an attempt may begin again after a stage that failed (``generation.stages.Settings``)."""
-    command_noise: float = 0.0
-    """Scale of the noise that commands carry when they are executed, recorded without it (likewise)."""
-    start_spread: float = 1.0
-    """Factor by which the region's ranges of the robot's pose are widened (likewise)."""
-    stance_spread: float = 0.0
-    """Scale of how far the place is off from which the robot acts on the object (likewise)."""
+    num_episodes: int | None
+    num_attempts: int | None
+    block_size: int
+    keep_failures: bool
+    variation: DataVariation
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
     def __post_init__(self) -> None:
-        """Check the target, the block size and how the data is varied."""
+        """Check the target and the block size."""
         targets = [target for target in (self.num_episodes, self.num_attempts) if target is not None]
         if len(targets) != 1 or targets[0] < 1 or self.block_size < 1:
             raise DatasetError(
@@ -99,12 +113,27 @@ class GenerationFacts:
                 "one of the two targets, at least 1, and blocks of at least 1",
                 "give --num-episodes or --num-attempts",
             )
-        lowest = {"command_noise": 0.0, "start_spread": 1.0, "stance_spread": 0.0}
-        for name, low in lowest.items():
-            if not low <= getattr(self, name) < math.inf:
-                raise DatasetError(
-                    f"{name}={getattr(self, name)}", f"{low:g} or more", f"correct --{name.replace('_', '-')}"
-                )
+
+    def content(self) -> dict[str, Any]:
+        """Return the facts as JSON objects hold them, the knobs of the variation flat among them."""
+        content: dict[str, Any] = {}
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            content |= value.content() if isinstance(value, DataVariation) else {entry.name: copy.deepcopy(value)}
+        return content
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> "GenerationFacts":
+        """Return the facts that ``content`` gave, as ``run.json`` and ``meta/demohlm.json`` hold them.
+
+        Raises:
+            DatasetError: A fact is missing.
+        """
+        names = [entry.name for entry in fields(cls) if entry.name != "variation"]
+        missing = [name for name in names if name not in content]
+        if missing:
+            raise DatasetError(f"facts without {', '.join(missing)}", "the facts of a run", "generate it again")
+        return cls(**{name: content[name] for name in names}, variation=DataVariation.read(content))
 
 
 def require_new_root(root: Path) -> None:
@@ -133,7 +162,7 @@ def count_attempts(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def write_facts(root: Path, facts: GenerationFacts, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Write ``meta/demohlm.json`` and ``meta/demohlm_attempts.jsonl`` and return what the former says."""
-    content = asdict(facts) | {"code_hash": provenance.code_hash()} | count_attempts(records)
+    content = facts.content() | {"code_hash": provenance.code_hash()} | count_attempts(records)
     (root / FACTS_PATH).write_text(json.dumps(content, indent=2) + "\n")
     (root / ATTEMPTS_PATH).write_text("".join(json.dumps(record) + "\n" for record in records))
     return content

@@ -28,7 +28,6 @@ from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import FPS
-from lerobot_demohlm.reproducibility import provenance
 
 FORMAT_VERSION = 1
 CONTACT_FORCE_N = 0.5  # normal force from which a hand touches an object: the push that moves 100 g of wood
@@ -59,7 +58,7 @@ class Demonstration:
         contact_forces: (T, P) mean normal force of ``task.contact_pairs`` over the tick [N].
         success: (T,) bool, whether the task's condition held after the tick.
         start: Snapshot of the simulation before the first command.
-        end: The same after the last.
+        end: Snapshot of the simulation after the last command.
         metadata: format_version, task, versions, controller_hash, model_hash, operator, ...
         corrections: Hand-made corrections of the segmentation; None where there are none.
     """
@@ -163,7 +162,7 @@ class Demonstration:
         features = _features(task)
         with _quiet():
             dataset = LeRobotDataset.create(
-                f"demohlm/{provenance.file_name(task)}_demonstration",
+                f"demohlm/{task.slug}_demonstration",
                 FPS,
                 features,
                 root=root,
@@ -235,7 +234,7 @@ def _matrices(numbers: np.ndarray) -> np.ndarray:
 
 def default_root(task: Task) -> Path:
     """Return where the package keeps the demonstration of a task."""
-    return _PACKAGED / provenance.file_name(task)
+    return _PACKAGED / task.slug
 
 
 def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
@@ -243,7 +242,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
 
     Args:
         root: Where it is; the packaged one of the task by default.
-        task: The task that it must be of; any by default.
+        task: The task that it must be of, and whose objects and contact pairs are read; any registered one by default.
 
     Raises:
         DemonstrationError: It is missing, damaged, of another task or version, failed, or touches nothing.
@@ -270,7 +269,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         raise DemonstrationError(
             f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another --demonstration"
         )
-    demonstration = _read(root, get_task(str(metadata.get("task"))), metadata)
+    demonstration = _read(root, task or get_task(str(metadata.get("task"))), metadata)
     if demonstration.recording_hash != metadata.get("content_hash"):
         raise DemonstrationError(
             f"{root} with content hash {demonstration.recording_hash[:12]}",

@@ -22,7 +22,7 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
-from gym_demohlm.task import MotionFrame
+from gym_demohlm.task import MotionFrame, Task
 from lerobot_demohlm.demonstrations.demonstration import (
     CONTACT_FORCE_N,
     CORRECTIONS_PATH,
@@ -89,17 +89,31 @@ def gripper_events(action: np.ndarray) -> list[Event]:
     return sorted(events, key=lambda event: (event.tick, event.hand))
 
 
-def events(demonstration: Demonstration) -> list[Event]:
-    """Return all contact and gripper events of a demonstration in the order of time."""
-    task = get_task(demonstration.task)
+def events(demonstration: Demonstration, task: Task) -> list[Event]:
+    """Return all contact and gripper events of a demonstration in the order of time.
+
+    Raises:
+        DemonstrationError: It has not one force for each contact pair of the task.
+    """
+    got, expected = demonstration.contact_forces.shape[1], len(task.contact_pairs)
+    if got != expected:
+        raise DemonstrationError(
+            f"a demonstration with forces of {got} pairs of hand and object",
+            f"{expected}, the contact pairs of the task {task.name}",
+            "record it again, or pass the task that it was recorded with",
+        )
     found = contact_events(demonstration.contact_forces, task.contact_pairs)
     if task.hands == "gripper":
         found += gripper_events(demonstration.action)
     return sorted(found, key=lambda event: (event.tick, event.hand, event.kind))
 
 
-def segment(demonstration: Demonstration) -> list[Segment]:
+def segment(demonstration: Demonstration, task: Task) -> list[Segment]:
     """Cut a demonstration into segments: by its contacts, or as its hand-made corrections say.
+
+    Args:
+        demonstration: The recording.
+        task: Its task, which names hands, objects and contact pairs, and in what frame motions are repeated.
 
     Returns:
         Segments ordered by hand and time; those of a hand cover [0, T) without gaps.
@@ -109,26 +123,25 @@ def segment(demonstration: Demonstration) -> list[Segment]:
     """
     require_contact(demonstration)
     if demonstration.corrections is not None:
-        return _corrected(demonstration)
+        return _corrected(demonstration, task)
     length = len(demonstration)
-    found = events(demonstration)
+    found = events(demonstration, task)
     switches = {hand: _switches([event for event in found if event.hand == hand]) for hand in g1.SIDES}
     switches = _together(switches)
-    frame = get_task(demonstration.task).motion_frame
-    anchor = _ANCHOR_OF[frame]
+    anchor = _ANCHOR_OF[task.motion_frame]
     tracks = {hand: _track(hand, switches[hand], length, anchor) for hand in g1.SIDES}
     segments = []
     for hand, other in zip(g1.SIDES, reversed(g1.SIDES), strict=True):
-        taken_over = _cut_at_rest(demonstration, tracks[hand], switches[other])
+        taken_over = _cut_at_rest(demonstration, task, tracks[hand], switches[other])
         segments += _cut_at_steps(demonstration, taken_over)
     return segments
 
 
 def _cut_at_rest(
-    demonstration: Demonstration, track: list[Segment], others: list[tuple[int, int | None, str]]
+    demonstration: Demonstration, task: Task, track: list[Segment], others: list[tuple[int, int | None, str]]
 ) -> list[Segment]:
     """Cut approaches to an object that the other hand takes first at the tick at which it is brought to rest."""
-    names = [entry.name for entry in get_task(demonstration.task).objects]
+    names = [entry.name for entry in task.objects]
     cut = []
     for entry in track:
         taken = [tick for tick, _, name in others if name == entry.object and entry.start <= tick < entry.stop]
@@ -217,10 +230,10 @@ def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int, 
     return segments
 
 
-def _corrected(demonstration: Demonstration) -> list[Segment]:
+def _corrected(demonstration: Demonstration, task: Task) -> list[Segment]:
     """Read segments from the sidecar: {"segments": [{"hand", "kind", "start", "stop", "object", "anchor"}, ...]}."""
     corrections: dict[str, Any] = demonstration.corrections or {}
-    names = [entry.name for entry in get_task(demonstration.task).objects]  # a list: what is asked may be unhashable
+    names = [entry.name for entry in task.objects]  # a list: what is asked may be unhashable
     try:
         segments = [Segment(**entry) for entry in corrections["segments"]]
         if any(type(tick) is not int for entry in segments for tick in (entry.start, entry.stop)):
@@ -281,10 +294,10 @@ def main(arguments: argparse.Namespace) -> None:
     task = get_task(arguments.task)
     demonstration = load(arguments.root, task)
     print("   tick  hand   event")
-    for event in events(demonstration):
+    for event in events(demonstration, task):
         print(f"{event.tick:>7}  {event.hand:<5}  {event.kind} {event.object or 'gripper'}")
     print("\n  ticks    hand   follows")
-    for entry in segment(demonstration):
+    for entry in segment(demonstration, task):
         what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
         print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
     if arguments.figure is not None:
@@ -294,6 +307,6 @@ def main(arguments: argparse.Namespace) -> None:
         print(f"\n{arguments.figure}")
     if arguments.write_corrections:
         path = (arguments.root or default_root(task)) / CORRECTIONS_PATH
-        content = {"segments": [asdict(entry) for entry in segment(demonstration)]}
+        content = {"segments": [asdict(entry) for entry in segment(demonstration, task)]}
         path.write_text(json.dumps(content, indent=2) + "\n")
         print(f"\n{path}: correct it by hand; remove it to have the segments found again")

@@ -22,7 +22,7 @@ CURVES = {"left": (54, 104, 172), "right": (186, 74, 62)}
 def draw_timeline(demonstration: Demonstration) -> Image.Image:
     """Return the figure: for each hand its forces on objects [N], its gripper where it has one, and its segments."""
     task = get_task(demonstration.task)
-    segments = segment(demonstration)
+    segments = segment(demonstration, task)
     rows: list[tuple[str, str, np.ndarray | None]] = []
     for hand in g1.SIDES:
         for column, (side, name) in enumerate(task.contact_pairs):
@@ -63,7 +63,7 @@ def draw_timeline(demonstration: Demonstration) -> Image.Image:
             pen.line([(x(0), y + height - 14), (x(len(curve)), y + height - 14)], PALE)
             pen.line(points, CURVES[hand], 2, joint="curve")
             pen.text((MARGIN - 44, y + 6), f"{top:.3g}", INK, small)
-            for event in events(demonstration):
+            for event in events(demonstration, task):
                 of_curve = title.startswith(f"{hand} on {event.object}") or (
                     event.object is None and "gripper" in title
                 )

@@ -10,7 +10,7 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError, PolicyError
 from gym_demohlm.registry import get_task
-from lerobot_demohlm.datasets.episode import OUTCOMES
+from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm.datasets.facts import count_outcomes
 from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, LoadedPolicy, OnStep, Setting, load_policy, roll_batches
 

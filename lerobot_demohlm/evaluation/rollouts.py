@@ -8,7 +8,7 @@ act, as Diffusion does, gives others of the same distribution; its draws are see
 import hashlib
 import json
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
@@ -21,6 +21,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import judge
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 NUM_WORLDS = 16  # at a time: as many as the rows that a policy is given at least, see batch_rows.py
@@ -285,7 +286,10 @@ def _batch(
             "success_ever": bool(infos["success_ever"][world]),
             "success_end": bool(infos["success"][world]),
             "success_held": bool(infos["success_held"][world]),
-            "outcome": _outcome({name: bool(infos[name][world]) for name in infos if not name.startswith("_")}),
+            "outcome": _outcome(
+                {name: bool(infos[name][world]) for name in infos if not name.startswith("_")},
+                get_task(env.task).failures,
+            ),
             "length_s": round(int(steps[world]) / env.metadata["render_fps"], 1),
             "clipped": int(clipped[world]),
             "initial_state": starts[world],
@@ -315,13 +319,13 @@ def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any
     return array
 
 
-def _outcome(flags: dict[str, bool]) -> str:
-    """Name how an episode ended: held success first, then what went wrong worst."""
-    if flags["success_held"]:
-        return "success"
-    if flags["fell"] or flags["unstable"]:
-        return "fell"
-    for name in ("dropped", "collided", "off_course"):
-        if flags.get(name, False):
-            return name
-    return "timeout"
+def _outcome(flags: dict[str, bool], failures: Iterable[str]) -> str:
+    """Return how an episode ended.
+
+    Args:
+        flags: Its last info.
+        failures: Names of the task's failures.
+    """
+    faults = {name: flags[name] for name in ("fell", "collided", *failures)}
+    faults["fell"] |= flags["unstable"]
+    return judge.outcome(flags["success_held"], faults)

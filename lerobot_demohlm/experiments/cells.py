@@ -90,7 +90,7 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> Line | None
     if records is None:
         if effort.is_over:
             return None
-        generate(replace(_request(cell, root), num_attempts=count, **VARIANTS[PLAIN]))
+        generate(replace(_request(cell, root), num_attempts=count, variation=VARIANTS[PLAIN]))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
     return {
@@ -118,8 +118,8 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> Line | None:
     if not dataset.exists():
         if effort.is_over:
             return None
-        options = {"num_episodes": cell.num_train_episodes, **VARIANTS[cell.variant]}
-        generate(replace(_request(cell, dataset), **options))
+        request = _request(cell, dataset)
+        generate(replace(request, num_episodes=cell.num_train_episodes, variation=VARIANTS[cell.variant]))
     training = layout.training(cell)
     if not _times_file(training).exists():
         if effort.is_over:

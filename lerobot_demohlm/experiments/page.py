@@ -22,7 +22,6 @@ from lerobot_demohlm.experiments import lines, plots, readme_tables
 from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
 from lerobot_demohlm.experiments.tables import latest, method_title
 from lerobot_demohlm.policies.training import checkpoint
-from lerobot_demohlm.reproducibility import provenance
 
 VIDEO_WIDTH = 320  # px
 Line = dict[str, Any]
@@ -118,7 +117,7 @@ def _films(cell: Cell, layout: Layout, record: Mapping[str, Any]) -> list[tuple[
         return []
     with tempfile.TemporaryDirectory() as scratch:
         write_take(take, Path(scratch), width=VIDEO_WIDTH)
-        video = (Path(scratch) / f"{provenance.file_name(task)}_overview.mp4").read_bytes()
+        video = (Path(scratch) / f"{task.slug}_overview.mp4").read_bytes()
     return [(base64.b64encode(video).decode(), take.caption)]
 
 

@@ -12,8 +12,9 @@ from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.checks import portability
+from lerobot_demohlm.datasets import variation
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.policies.presets import POLICIES, get_preset
-from lerobot_demohlm.reproducibility import provenance
 
 REGIONS = ("R1", "R2", "R3")
 FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
@@ -23,14 +24,14 @@ _SEEDS = {"main": (0, 1), "architectures": (0,)}
 TABLES = ("main", "architectures", "regions")
 PLAIN = "plain"  # what lines without a variant are of, and what the table of regions counts
 DEFAULT_VARIANT = "noise"  # what policies are trained on: the best in the ablation
-VARIANTS: Mapping[str, Mapping[str, float]] = {
-    PLAIN: {"command_noise": 0.0},
-    "noise": {"command_noise": 1.0},
-    "starts": {"command_noise": 0.0, "start_spread": 1.3},
-    "stances": {"command_noise": 0.0, "stance_spread": 1.0},
-    "noise_stances": {"command_noise": 1.0, "stance_spread": 1.0},
+VARIANTS: Mapping[str, DataVariation] = {
+    PLAIN: variation.PLAIN,
+    "noise": DataVariation(command_noise=1.0),
+    "starts": DataVariation(command_noise=0.0, start_spread=1.3),
+    "stances": DataVariation(command_noise=0.0, stance_spread=1.0),
+    "noise_stances": DataVariation(command_noise=1.0, stance_spread=1.0),
 }
-"""Ways to generate training data, as fields of a ``GenerationRequest``; rollouts are the same for all of them."""
+"""Ways to generate training data, each said in full; rollouts are the same for all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +75,7 @@ class Cell:
     def name(self) -> str:
         """Return what its directory is called."""
         parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
-        return "_".join(map(str, (provenance.file_name(get_task(self.task)), *parts, *_suffix(self.variant))))
+        return "_".join(map(str, (get_task(self.task).slug, *parts, *_suffix(self.variant))))
 
     @property
     def recipe(self) -> str:
@@ -107,9 +108,7 @@ class RegionCell:
 
 def is_plain(line: dict[str, Any]) -> bool:
     """Tell whether a line of ``generation.jsonl`` is of attempts as tables count them: nothing disturbed, one try."""
-    return not any(line.get(name) for name in ("retries", "command_noise", "stance_spread")) and (
-        line.get("start_spread", 1.0) == 1.0
-    )
+    return DataVariation.read(line) == variation.PLAIN
 
 
 def _suffix(variant: str) -> tuple[str, ...]:
@@ -119,7 +118,7 @@ def _suffix(variant: str) -> tuple[str, ...]:
 
 def _stem(task: str, region: str, variant: str = PLAIN) -> str:
     """Return what the names of datasets begin with."""
-    return "_".join((provenance.file_name(get_task(task)), region.lower(), *_suffix(variant), stamp(task)))
+    return "_".join((get_task(task).slug, region.lower(), *_suffix(variant), stamp(task)))
 
 
 def _digest(*parts: object) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.experiments.lines import Line, read
 from lerobot_demohlm.experiments.paper import GENERATION
 from lerobot_demohlm.experiments.tables import age, experiments_tables, markdown, regions_table, share
@@ -23,7 +24,7 @@ def _latest(lines: list[Line], *keys: str) -> list[Line]:
 
 def _generation(lines: list[Line]) -> str:
     rows = []
-    plain = {"retries": 0, "command_noise": 0.0, "start_spread": 1.0, "stance_spread": 0.0}
+    plain = PLAIN.content()
     for line in _latest([{**plain, **line} for line in lines], "task", "region", *plain):
         failed = ", ".join(f"{name} {count}" for name, count in line["outcomes"].items() if name != "success" and count)
         paper = GENERATION.get((line["task"], line["region"]))

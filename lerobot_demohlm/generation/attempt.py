@@ -16,10 +16,10 @@ from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.envs import observation
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.simulation.worlds import FALLEN_HEIGHT, FALLEN_TILT
+from gym_demohlm.simulation.judge import COLLISION_N, COLLISION_S, FALLEN_HEIGHT, FALLEN_TILT, Judge, fault_outcome
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.datasets.episode import OUTCOMES, Episode
+from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
@@ -27,12 +27,9 @@ from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
-from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.generation.world_view import WorldView
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 
-HELD_TICKS = 10  # success counts once it has held for 1 s, up to the end
-COLLISION_N = 60.0  # force between robot and obstacle that counts as a collision
-COLLISION_TICKS = 3  # once it has lasted this long (0.3 s)
 GENERATION_STREAM = 0  # first number of a seed sequence; evaluation and training use others, so seeds never overlap
 
 
@@ -41,43 +38,36 @@ def initial_state(task: Task, region: str, seed: int, index: int, spread: float 
     return task.region(region).widened(spread).sample(np.random.default_rng([GENERATION_STREAM, seed, index]))
 
 
-def held(success: Sequence[bool] | np.ndarray) -> bool:
-    """Return whether a success condition, by step, has held for the last second: then the attempt is a success."""
-    last = success[-HELD_TICKS:]
-    return len(last) == HELD_TICKS and bool(np.all(last))
-
-
 @dataclass
-class Running:
-    """An attempt under way; its lists have an entry for every step made.
+class Attempt:
+    """An attempt under way; its lists have one entry for every step made.
 
     Attributes:
-        index: Of the attempt.
-        start: Its initial state.
-        world: Where it runs.
-        commands: What is left of its commands.
-        noise: What is left of its noise; None where commands are executed as planned.
-        placement: Where it decided to stand; None before.
-        playback: What moves the hands, once the robot stands there.
-        stage: It is in.
-        outcome: How it ended; None before.
-        reason: The same in words; empty for a success.
-        retries: How often it began again after a stage that failed.
-        collision_ticks: Steps in a row in which the robot pressed on an obstacle.
+        index: Index of the attempt in its run.
+        start: Initial state of its world.
+        world: The world that it runs in.
+        commands: The commands that are still to come.
+        noise: The noise that is still to come; None where commands are executed as planned.
+        placement: Where the robot is to stand; None until that is chosen.
+        playback: What moves the hands; None until the robot stands at its place.
+        stage: Current stage.
+        outcome: One of ``OUTCOMES``; None until the attempt ends.
+        reason: Why the attempt ended, in words; empty for a success.
+        retries: Number of times that it began again after a stage that failed.
         trail: Fingerprints of its world.
-        state: (68,) before each step.
-        environment_state: (9k,) before each step.
-        action: (23,) as planned.
-        executed: (23,) as applied.
+        state: (68,) observation of the robot before each step.
+        environment_state: (9k,) observation of the objects before each step.
+        action: (23,) command of each step as planned.
+        executed: (23,) command of each step as applied.
         success: Whether the task's condition held after each step.
         stages: Stage of each step.
-        contact_forces: (5, pairs) of each step [N].
-        collision_forces: (5,) of each step [N].
+        contact_forces: (5, pairs) normal forces of each step between hands and objects [N].
+        collision_forces: (5,) largest normal force of each step between robot and obstacles [N].
     """
 
     index: int
     start: InitialState
-    world: World
+    world: WorldView
     commands: Iterator[np.ndarray] = field(default_factory=lambda: iter(()))
     noise: Iterator[np.ndarray] | None = None
     placement: Placement | None = None
@@ -86,7 +76,6 @@ class Running:
     outcome: str | None = None
     reason: str = ""
     retries: int = 0
-    collision_ticks: int = 0
     trail: Trail = field(default_factory=Trail)
     state: list[np.ndarray] = field(default_factory=list)
     environment_state: list[np.ndarray] = field(default_factory=list)
@@ -103,18 +92,21 @@ class Running:
 
 
 class Attempts:
-    """Runs attempts of one task and demonstration; keeps the simulation and the solver for the next call.
+    """Makes attempts at one task from one demonstration; keeps the simulation and the solver for the next call.
 
     Args:
         task: The task.
-        demonstration: Of that task.
+        demonstration: A demonstration of the task.
         region: Initial region.
-        seed: Of the run.
-        num_worlds: Most attempts at once.
-        settings: Gains, limits and times.
+        seed: Seed of the run.
+        num_worlds: Largest number of attempts that run side by side.
+        settings: Variation, gains, limits and times; those of ``demohlm generate`` by default.
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
         on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
-        sim: Where they run, for watchers; a new one with num_worlds by default. It is closed with the attempts.
+        sim: The simulation that attempts run in, which ``close`` closes; a new one with ``num_worlds`` by default.
+
+    Attributes:
+        ik: Solver of the inverse kinematics, shared by all attempts; it keeps no state.
     """
 
     def __init__(
@@ -126,16 +118,17 @@ class Attempts:
         num_worlds: int = 1,
         settings: Settings | None = None,
         on_step: Callable[[Simulation], None] | None = None,
-        on_command: Callable[[Running, np.ndarray], None] | None = None,
+        on_command: Callable[[Attempt, np.ndarray], None] | None = None,
         sim: Simulation | None = None,
     ) -> None:
         self._on_step = on_step or (lambda _: None)
         self._on_command = on_command or (lambda _attempt, _command: None)
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
-        self._segments: list[Segment] = segment(demonstration)
+        self._segments: list[Segment] = segment(demonstration, task)
         self._sim = sim or Simulation(task, num_worlds=num_worlds)
-        self._ik = WholeBodyIK(self._sim.model)
+        self._judge = Judge(self._sim)
+        self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
 
     def close(self) -> None:
@@ -152,12 +145,14 @@ class Attempts:
 
     def _run_together(self, indices: Sequence[int]) -> list[Episode]:
         sim = self._sim
-        spread, noisy = self.settings.start_spread, self.settings.command_noise > 0.0
+        variation = self.settings.variation
+        noisy, spread = variation.command_noise > 0.0, variation.start_spread
         starts = [initial_state(self.task, self.region, self.seed, index, spread) for index in indices]
         sim.reset(starts, np.arange(len(indices)))
+        self._judge.reset(np.arange(len(indices)))
         self._on_step(sim)
         running = [
-            Running(index=index, start=start, world=World(sim=sim, index=world, ik=self._ik))
+            Attempt(index=index, start=start, world=WorldView(sim=sim, index=world, ik=self.ik))
             for world, (index, start) in enumerate(zip(indices, starts, strict=True))
         ]
         before = sim.snapshot()
@@ -169,7 +164,7 @@ class Attempts:
             self._step(running)
         return [self._episode(attempt) for attempt in running]
 
-    def _step(self, running: list[Running]) -> None:
+    def _step(self, running: list[Attempt]) -> None:
         """Ask every attempt for a command, make one step of all worlds, and judge them."""
         sim = self._sim
         commands, active = sim.command, np.zeros(sim.num_worlds, dtype=bool)
@@ -185,7 +180,8 @@ class Attempts:
         state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
         result = sim.step(commands, active)
         self._on_step(sim)
-        success, fallen, failures, after = sim.success(), sim.fallen(), sim.failures(), sim.snapshot()
+        self._judge.watch(result, active)
+        faults, after = self._judge.faults(), sim.snapshot()
         for attempt in running:
             world = attempt.world.index
             if not active[world]:
@@ -195,36 +191,34 @@ class Attempts:
             attempt.action.append(planned[world].copy())
             attempt.executed.append(commands[world].astype(np.float32))
             attempt.world.noise[:] = commands[world] - planned[world]
-            attempt.success.append(bool(success[world]))
+            attempt.success.append(bool(self._judge.condition[world]))
             attempt.stages.append(attempt.stage)
             attempt.contact_forces.append(result.contact_forces[world])
             attempt.collision_forces.append(result.collision_forces[world])
             attempt.trail.add(after, world, attempt.action[-1])
-            struck = result.collision_forces[world].max() > COLLISION_N
-            attempt.collision_ticks = attempt.collision_ticks + 1 if struck else 0
-            failed = [name for name, happened in failures.items() if happened[world]]
-            if fallen[world] or result.unstable[world]:
+            fault = next((name for name, happened in faults.items() if happened[world]), None)
+            if fault == "fell":
                 attempt.end("fell", _fall(attempt.world, bool(result.unstable[world])))
-            elif attempt.collision_ticks >= COLLISION_TICKS:
+            elif fault == "collided":
                 force = result.collision_forces[world].max()
                 attempt.end(
                     "collided",
                     f"the robot pressed on an obstacle with {force:.0f} N, and with more than {COLLISION_N:g} N for "
-                    f"{COLLISION_TICKS * STEP_DT:.1f} s",
+                    f"{COLLISION_S:.1f} s",
                 )
-            elif failed:
-                attempt.end(*_failure(attempt, failed[0]))
+            elif fault is not None:
+                attempt.end(*_failure(attempt, fault))
             elif len(attempt.action) >= self._num_ticks * (1 + attempt.retries):
                 limit_s = self.task.episode_length_s * (1 + attempt.retries)
-                self._judge(attempt, f"the time limit of {limit_s:g} s was reached")
+                self._conclude(attempt, f"the time limit of {limit_s:g} s was reached")
 
-    def _next_command(self, attempt: Running) -> np.ndarray | None:
+    def _next_command(self, attempt: Attempt) -> np.ndarray | None:
         if attempt.outcome is not None:
             return None
         try:
             wanted = next(attempt.commands)
         except StopIteration:
-            self._judge(attempt, "the motion was over")
+            self._conclude(attempt, "the motion was over")
         except StageError as failure:
             attempt.end(failure.outcome, failure.reason)
         else:
@@ -232,21 +226,21 @@ class Attempts:
             return wanted
         return None
 
-    def _disturbed(self, attempt: Running, planned: np.ndarray) -> np.ndarray:
+    def _disturbed(self, attempt: Attempt, planned: np.ndarray) -> np.ndarray:
         """Return the command (23,) float32 that is executed where an attempt has planned one."""
         assert attempt.noise is not None  # else there is nothing to ask for
         noise, delicate = next(attempt.noise), attempt.playback is not None and attempt.playback.delicate
-        share = 0.0 if delicate else self.settings.command_noise * command_noise.SHARES[attempt.stage]
+        share = 0.0 if delicate else self.settings.variation.command_noise * command_noise.SHARES[attempt.stage]
         return command_noise.disturbed(planned, share * noise)
 
-    def _commands(self, attempt: Running) -> Iterator[np.ndarray]:
+    def _commands(self, attempt: Attempt) -> Iterator[np.ndarray]:
         """Go through the stages of one attempt, as often as it may."""
         while True:
             try:
                 yield from self._try(attempt)
                 return
             except StageError as failure:
-                if not failure.again or attempt.retries == self.settings.retries:
+                if not failure.again or attempt.retries == self.settings.variation.retries:
                     raise
             attempt.retries += 1
             if attempt.playback is not None:
@@ -254,11 +248,11 @@ class Attempts:
             attempt.playback, attempt.stage = None, stages.LOCOMOTION
             yield from stages.step_back(attempt.world, self.settings.retreat)
 
-    def _try(self, attempt: Running) -> Iterator[np.ndarray]:
+    def _try(self, attempt: Attempt) -> Iterator[np.ndarray]:
         """Go through the stages once, from where things are."""
         world, demonstration = attempt.world, self.demonstration
         chosen = stages.choose_placement(world, self.task, demonstration, self._segments)
-        off = stages.stance(self.seed, attempt.index, self.settings.stance_spread)
+        off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
         placement = replace(chosen, goal=poses.to_planar(poses.planar(*chosen.goal) @ poses.planar(*off)))
         attempt.placement = placement
         yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
@@ -268,16 +262,16 @@ class Attempts:
             attempt.stage = playback.stage
             yield wanted
 
-    def _judge(self, attempt: Running, why: str) -> None:
+    def _conclude(self, attempt: Attempt, why: str) -> None:
         """Judge an attempt whose motion or time is over."""
-        if held(attempt.success):
+        if self._judge.success_held[attempt.world.index]:
             attempt.end("success")
             return
         steps = sum(attempt.success)
         seen = f"held for {steps * STEP_DT:.1f} s, but not throughout the last second" if steps else "never held"
         attempt.end("timeout", f"{why} and the success condition {seen}")
 
-    def _episode(self, attempt: Running) -> Episode:
+    def _episode(self, attempt: Attempt) -> Episode:
         assert attempt.outcome is not None  # run together ends when all have one
         length = len(attempt.action)
         width = len(observation.environment_names(self.task))
@@ -308,15 +302,15 @@ class Attempts:
         )
 
 
-def _failure(attempt: Running, name: str) -> tuple[str, str]:
+def _failure(attempt: Attempt, name: str) -> tuple[str, str]:
     """Return outcome and reason that a task's failure predicate stands for; before the hands take hold, it was hit."""
     reason = f"the task's failure condition {name!r} held"
     if attempt.stage != stages.MANIPULATION:
         return "collided", f"{reason} before the hands had taken hold: something was run into"
-    return (name if name in OUTCOMES else "dropped"), reason
+    return fault_outcome(name), reason
 
 
-def _fall(world: World, unstable: bool) -> str:
+def _fall(world: WorldView, unstable: bool) -> str:
     """Say in words why a robot counts as fallen."""
     if unstable:
         return "the physics broke down: speeds beyond all bounds"
@@ -328,9 +322,11 @@ def _fall(world: World, unstable: bool) -> str:
     )
 
 
-def attempt(task: Task, demonstration: Demonstration, region: str, seed: int, index: int) -> Episode:
-    """Make one attempt: a function of its arguments and the installation."""
-    attempts = Attempts(task, demonstration, region, seed)
+def attempt(
+    task: Task, demonstration: Demonstration, region: str, seed: int, index: int, settings: Settings | None = None
+) -> Episode:
+    """Make one attempt: a function of its arguments and the installation; see ``Attempts``."""
+    attempts = Attempts(task, demonstration, region, seed, settings=settings)
     try:
         return attempts.run([index])[0]
     finally:

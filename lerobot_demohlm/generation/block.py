@@ -17,7 +17,6 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -132,7 +131,7 @@ def _files(block: Path) -> list[str]:
 
 def _manifest(block: Path, facts: GenerationFacts, attempts: range) -> dict[str, Any]:
     """Return what ``block.json`` says of the files that are there."""
-    of_run = hashlib.sha256(json.dumps(asdict(facts), sort_keys=True).encode()).hexdigest()
+    of_run = hashlib.sha256(json.dumps(facts.content(), sort_keys=True).encode()).hexdigest()
     files = {}
     for name in _files(block):
         with (block / name).open("rb") as file:

@@ -17,7 +17,6 @@ import numpy as np
 from gym_demohlm.control import command
 from lerobot_demohlm.generation.stages import LOCOMOTION, MANIPULATION, PRE_MANIPULATION
 
-DEFAULT_SCALE = 1.0  # of data to train on: the best in the ablation of `demohlm results`
 NOISE_STREAM = 1  # first number of its seed sequences, as GENERATION_STREAM is of initial states
 SHORTEST, LONGEST = 3, 8  # ticks of a burst and of a pause: the controller filters shorter ones out
 LARGEST = 2.0  # standard deviations

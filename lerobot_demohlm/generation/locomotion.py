@@ -8,6 +8,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.control import command, reference
+from gym_demohlm.timing import STEP_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,23 +22,24 @@ class LocomotionSettings:
         max_velocity: Fastest forward, backward, sideways [m/s] and yaw rate [rad/s].
         integral_gain: Velocity a second of an error of one metre or radian [1/s^2]: a gait answers slow commands with
             a bias of its own.
-        max_bias: Most that this makes up for [m/s, m/s, rad/s].
+        max_bias: Largest velocity that the integral adds [m/s, m/s, rad/s].
         bias_within: Errors larger than this are not integrated [m, m, rad].
         window_ticks: Ticks over which the base is averaged, a period of the gait, whose sway is no error.
-        coast_s: How long the robot goes on at its speed once it is told to stand [s].
-        settle_shift: How the base then moves while it steps its feet square, in its own frame [m, m, rad]; the mean of
-            what the shipped controller does.
-        standoff: Metres to stay back from the goal for a metre of sideways error: turn and line up first, then step in.
-        standoff_yaw: The same for a radian of heading error.
-        max_standoff: Most of it [m].
-        free_error: Sideways error for which nothing is held back [m].
-        tolerance_m: Stop walking where it would come to stand within this distance of the goal,
-        tolerance_rad: and within this heading error.
-        accept_m: Go on to the next stage with at most this distance once the robot stands still,
-        accept_rad: and this heading error; otherwise walk again.
-        settle_ticks: Ticks to stand still after walking; the controller squares up its feet meanwhile.
-        max_walks: Times to walk before giving up.
-        max_ticks: Longest locomotion stage.
+        coast_s: Time for which the robot keeps its speed after a command to stand [s].
+        settle_shift: Motion of the base, in its own frame, while the robot steps its feet square after a walk
+            [m, m, rad]; the mean of the shipped controller.
+        standoff: Metres to stay back from the goal for each metre of sideways error: the robot lines up first and then
+            steps in.
+        standoff_yaw: Metres to stay back from the goal for each radian of heading error.
+        max_standoff: Largest distance to stay back from the goal [m].
+        free_error: Sideways error up to which the robot does not stay back [m].
+        tolerance_m: A walk stops where the robot would come to stand within this distance of the goal.
+        tolerance_rad: A walk stops where the robot would come to stand within this heading error.
+        accept_m: Largest distance from the goal at which a robot that stands still goes on to the next stage.
+        accept_rad: Largest heading error with which a robot that stands still goes on to the next stage.
+        settle_ticks: Ticks to stand still after a walk, while the controller squares up the feet.
+        max_walks: Number of walks before the attempt gives up.
+        max_ticks: Largest number of ticks of the locomotion stage.
     """
 
     position_gain: float = 1.2
@@ -68,15 +70,14 @@ class BaseEstimate:
 
     Args:
         window_ticks: Period of the gait.
-        dt: Tick [s].
 
     Attributes:
         position: (3,) x, y, yaw now [m, m, rad].
         velocity: (3,) in the world [m/s, m/s, rad/s].
     """
 
-    def __init__(self, window_ticks: int, dt: float = 0.1) -> None:
-        self._window, self._dt = window_ticks, dt
+    def __init__(self, window_ticks: int) -> None:
+        self._window = window_ticks
         self._seen: list[np.ndarray] = []
         self.position, self.velocity = np.zeros(3), np.zeros(3)
 
@@ -86,7 +87,7 @@ class BaseEstimate:
         if self._seen:
             here[2] = self._seen[-1][2] + poses.wrap_angle(here[2] - self._seen[-1][2])
         self._seen = [*self._seen[-self._window :], here]
-        span = (len(self._seen) - 1) * self._dt
+        span = (len(self._seen) - 1) * STEP_DT
         if span > 0:
             self.velocity = (self._seen[-1] - self._seen[0]) / span
         self.position = np.mean(self._seen, axis=0) + 0.5 * span * self.velocity
@@ -182,14 +183,12 @@ def walk_velocity(
     return np.clip(wanted, [-backward, -side, -yaw_rate], [forward, side, yaw_rate])
 
 
-def _integrate(
-    bias: np.ndarray, here: np.ndarray, goal: np.ndarray, settings: LocomotionSettings, dt: float = 0.1
-) -> np.ndarray:
+def _integrate(bias: np.ndarray, here: np.ndarray, goal: np.ndarray, settings: LocomotionSettings) -> np.ndarray:
     """Return the bias (3,) after one more tick with this error; large errors are the walk itself."""
     error = poses.to_planar(poses.invert(poses.planar(*here)) @ poses.planar(*goal))
     if (np.abs(error) > settings.bias_within).any():
         return bias
-    return np.clip(bias + settings.integral_gain * dt * error, -np.array(settings.max_bias), settings.max_bias)
+    return np.clip(bias + settings.integral_gain * STEP_DT * error, -np.array(settings.max_bias), settings.max_bias)
 
 
 def _errors(here: np.ndarray, goal: np.ndarray) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from lerobot_demohlm.generation.stages import (
     StageError,
     first_approach,
 )
-from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.generation.world_view import WorldView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class Playback:
 
     def __init__(
         self,
-        world: World,
+        world: WorldView,
         task: Task,
         demonstration: Demonstration,
         segments: Sequence[Segment],

@@ -25,9 +25,9 @@ class RayWorkers:
     """Tasks of one CPU each, on the cluster at ``RAY_ADDRESS``, or the one of this machine, or a new one.
 
     Args:
-        make: What they do.
-        directory: Of the run, seen by this process alone.
-        num_workers: Most tasks at once; those that the cluster has no CPU for wait for one.
+        make: Makes a block in a task.
+        directory: The run's directory, which only this process needs to see.
+        num_workers: Largest number of tasks; those that the cluster has no CPU for wait for one.
     """
 
     def __init__(self, make: Make, directory: Path, num_workers: int) -> None:

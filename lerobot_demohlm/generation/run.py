@@ -4,7 +4,7 @@ On disk, beside the future root::
 
     <root>.partial/run.json      the facts of the run: a resumed run must have the same
     <root>.partial/lock          held by the process that is at work
-    <root>.partial/blocks/       one directory a block, see ``generation_block.py``
+    <root>.partial/blocks/       one directory a block, see ``block.py``
     <root>.partial/finished/     the merged datasets, on their way to the root
 
 A block is a function of the facts and its attempts alone, so a run that was killed and resumed ends in the same files
@@ -17,7 +17,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def failures_root(root: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GenerationRun:
-    """A generation run on disk, begun or resumed; see ``episode.py`` for the order in which it is used."""
+    """A generation run on disk, begun or resumed; see ``datasets/facts.py`` for the order in which it is used."""
 
     root: Path
     repo_id: str
@@ -87,7 +87,7 @@ class GenerationRun:
             _require_same_facts(path, self.facts)
         else:
             temporary = path.with_suffix(".tmp")
-            temporary.write_text(json.dumps(asdict(self.facts), indent=2) + "\n")
+            temporary.write_text(json.dumps(self.facts.content(), indent=2) + "\n")
             temporary.rename(path)
         for block in sorted((self.directory / "blocks").iterdir()):
             if block.name.startswith("."):
@@ -287,7 +287,7 @@ def _require_same_facts(path: Path, facts: GenerationFacts) -> None:
         raise DatasetError(
             f"{path}, damaged ({begun})", "the facts of a run", f"remove {path.parent}, or choose another --root"
         )
-    now = json.loads(json.dumps(asdict(facts)))
+    now = json.loads(json.dumps(facts.content()))
     different = sorted(key for key in begun.keys() | now.keys() if begun.get(key) != now.get(key))
     if different:
         key = different[0]

@@ -13,7 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -23,14 +23,14 @@ from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
-from lerobot_demohlm.generation.command_noise import DEFAULT_SCALE
 from lerobot_demohlm.generation.run import GenerationRun
-from lerobot_demohlm.generation.stages import CHOICES, chosen_settings
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.reproducibility import provenance
 
@@ -46,22 +46,19 @@ class GenerationRequest:
     Attributes:
         task: Name of the task.
         region: Initial region.
-        seed: Attempt i is a function of it, the region, the demonstration and i.
-        root: Directory of the dataset; must not exist.
-        num_episodes: Stop at this many successes; or
-        num_attempts: make exactly this many attempts.
-        num_workers: Blocks at a time.
-        backend: Who makes them: processes of this machine, or a Ray cluster.
-        resume: Refuse to begin a run: there must be one to go on with. Without it, too, the same request goes on.
+        seed: Attempt i is a function of this seed, the region, the demonstration, the variation and i.
+        root: Directory of the dataset; it must not exist.
+        num_episodes: Stop at this many successes; None where ``num_attempts`` is given.
+        num_attempts: Make exactly this many attempts; None where ``num_episodes`` is given.
+        num_workers: Number of blocks that are made at the same time.
+        backend: Where attempts run: in local processes or on a Ray cluster.
+        resume: Refuse to begin a run; there must be one to resume. The same request resumes a run without this, too.
         demonstration: Directory of the demonstration; the packaged one by default.
         repo_id: Name of the dataset on the hub.
-        keep_failures: Write failed attempts to a second dataset beside it.
-        block_size: Attempts a block.
-        retries: How often an attempt may begin again after a stage that failed.
-        command_noise: Scale of the noise that commands carry when they are executed; recorded are those without. What
-            policies learn best from, unless 0.
-        start_spread: Factor by which the region's ranges of the robot's pose are widened.
-        stance_spread: Scale of how far the place is off from which the robot acts on the object.
+        keep_failures: Whether failed attempts become a second dataset, ``<root>-failures``.
+        block_size: Attempts in a block: worlds that are stepped together, and what a kill loses of each worker.
+        variation: How attempts differ from plain ones. By default their commands carry noise, as policies learn best
+            from such data.
         show_progress: Draw a progress bar on stderr.
     """
 
@@ -78,10 +75,7 @@ class GenerationRequest:
     repo_id: str | None = None
     keep_failures: bool = False
     block_size: int = BLOCK_SIZE
-    retries: int = 0
-    command_noise: float = DEFAULT_SCALE
-    start_spread: float = 1.0
-    stance_spread: float = 0.0
+    variation: DataVariation = field(default_factory=DataVariation)
     show_progress: bool = True
 
 
@@ -92,17 +86,14 @@ class GenerationSummary:
     Attributes:
         task: Name of the task.
         region: Initial region.
-        seed: Of the run.
-        attempts: Attempts made.
+        seed: Seed of the run.
+        attempts: Number of attempts made.
         successes: Episodes in the dataset.
         success_rate: successes / attempts.
         outcomes: Attempts by outcome.
-        retries: How often an attempt might begin again.
-        command_noise: As requested.
-        start_spread: As requested.
-        stance_spread: As requested.
-        first_try_successes: Successes that did not: those that there would have been without retries.
-        episodes_per_hour: Successes an hour of this call; blocks that were on disk before it are not counted.
+        variation: How attempts differ from plain ones, as requested.
+        first_try_successes: Attempts that succeeded without a retry.
+        episodes_per_hour: Successes per hour of this call; blocks that were on disk before it are not counted.
     """
 
     task: str
@@ -112,10 +103,7 @@ class GenerationSummary:
     successes: int
     success_rate: float
     outcomes: dict[str, int]
-    retries: int
-    command_noise: float
-    start_spread: float
-    stance_spread: float
+    variation: DataVariation
     first_try_successes: int
     episodes_per_hour: float
 
@@ -132,14 +120,14 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     """
     task = get_task(request.task)
     task.region(request.region)
-    if request.num_workers < 1 or request.seed < 0 or request.retries < 0:
+    if request.num_workers < 1 or request.seed < 0:
         raise DatasetError(
-            f"num_workers={request.num_workers}, seed={request.seed}, retries={request.retries}",
-            "at least 1 worker, a seed and retries of 0 or more",
-            "change them",
+            f"num_workers={request.num_workers}, seed={request.seed}",
+            "at least 1 worker and a seed of 0 or more",
+            "correct --num-workers or --seed",
         )
     demonstration = demonstrations.load(request.demonstration, task)
-    segment(demonstration)  # fails now rather than in a worker
+    segment(demonstration, task)  # fails now rather than in a worker
     facts = GenerationFacts(
         task=task.name,
         task_text=task.description,
@@ -152,12 +140,9 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         num_attempts=request.num_attempts,
         block_size=request.block_size,
         keep_failures=request.keep_failures,
-        retries=request.retries,
-        command_noise=request.command_noise,
-        start_spread=request.start_spread,
-        stance_spread=request.stance_spread,
+        variation=request.variation,
     )
-    repo_id = request.repo_id or f"demohlm/{provenance.file_name(task)}_{request.region.lower()}"
+    repo_id = request.repo_id or f"demohlm/{task.slug}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
     try:
         began, found = time.monotonic(), run.num_successes
@@ -172,12 +157,10 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         raise KeyboardInterrupt(f"{kept}; the same command goes on from there") from None
     finally:
         run.close()
-    kept = (
-        *("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes"),
-        *(*CHOICES, "first_try_successes"),
-    )
+    kept = ("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes", "first_try_successes")
     return GenerationSummary(
         **{key: content[key] for key in kept},
+        variation=request.variation,
         episodes_per_hour=round(3600.0 * made / elapsed, 1),
     )
 
@@ -187,7 +170,7 @@ def make_blocks(run: GenerationRun, workers: Workers, report: Callable[[], None]
 
     Args:
         run: Where blocks are missing.
-        workers: Who make them.
+        workers: What makes the blocks.
         report: Called after each block.
 
     Raises:
@@ -221,9 +204,9 @@ class BlockMaker:
     """Makes blocks of a run in a worker, which need not be of this machine.
 
     Attributes:
-        facts: Of the run.
-        demonstration: Of its task.
-        task_module: Which registers the task.
+        facts: The run's facts.
+        demonstration: The run's demonstration.
+        task_module: Name of the module that registers the task.
     """
 
     facts: GenerationFacts
@@ -246,7 +229,7 @@ class BlockMaker:
                 "install the same on all machines, and use one family of processors",
             )
         importlib.import_module(self.task_module)
-        facts, settings = self.facts, chosen_settings(asdict(self.facts))
+        facts, settings = self.facts, Settings(variation=self.facts.variation)
         return Attempts(get_task(facts.task), self.demonstration, facts.region, facts.seed, facts.block_size, settings)
 
 
@@ -296,13 +279,17 @@ class _Progress:
 
 
 def summary_json(summary: GenerationSummary) -> dict[str, Any]:
-    """Return the summary as the JSON object that ``demohlm generate`` prints."""
-    content = asdict(summary)
+    """Return the summary as the JSON object that ``demohlm generate`` prints, the knobs of the variation flat in it."""
+    content: dict[str, Any] = {}
+    for entry in fields(summary):
+        value = getattr(summary, entry.name)
+        content |= value.content() if isinstance(value, DataVariation) else {entry.name: value}
     return content | {"success_rate": round(summary.success_rate, 4)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``demohlm generate``."""
+    variation = DataVariation()
     parser.add_argument("--task", required=True, help="name of the task, such as LiftBox")
     parser.add_argument("--region", default="R3", help="initial region, R1 to R3 (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the initial states (default: %(default)s)")
@@ -328,27 +315,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--retries",
         type=int,
-        default=0,
+        default=variation.retries,
         help="times that an attempt may walk back and begin again after a missed goal or grip (default: %(default)s)",
     )
     parser.add_argument(
         "--command-noise",
         type=float,
-        default=DEFAULT_SCALE,
+        default=variation.command_noise,
         metavar="SCALE",
         help="execute commands with noise, record them without; 1 is 0.05 m/s, 0.025 rad (default: %(default)s)",
     )
     parser.add_argument(
         "--start-spread",
         type=float,
-        default=1.0,
+        default=variation.start_spread,
         metavar="FACTOR",
         help="widen the region's ranges of the robot's pose, x away from the object (default: %(default)s)",
     )
     parser.add_argument(
         "--stance-spread",
         type=float,
-        default=0.0,
+        default=variation.stance_spread,
         metavar="SCALE",
         help="walk to places that are off by up to 5 cm and 5 deg, times this (default: %(default)s)",
     )
@@ -369,9 +356,6 @@ def main(arguments: argparse.Namespace) -> None:
         demonstration=arguments.demonstration,
         repo_id=arguments.repo_id,
         keep_failures=arguments.keep_failures,
-        retries=arguments.retries,
-        command_noise=arguments.command_noise,
-        start_spread=arguments.start_spread,
-        stance_spread=arguments.stance_spread,
+        variation=DataVariation(**{knob.name: getattr(arguments, knob.name) for knob in fields(DataVariation)}),
     )
     print(json.dumps(summary_json(generate(request))))

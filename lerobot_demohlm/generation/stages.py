@@ -5,9 +5,8 @@ step. So stages of many worlds run side by side in one simulation. A stage that 
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,15 +14,15 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
-from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.generation.world_view import WorldView
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)
-CHOICES = ("retries", "command_noise", "start_spread", "stance_spread")  # of a run: what its facts say of its settings
 STANCE_STREAM = 2  # first number of its seed sequences, as GENERATION_STREAM is of initial states
 STANCE_RANGES = np.array([[-0.05, 0.02], [-0.04, 0.04], [-0.08, 0.08]])  # m, m, rad: back rather than into a table
 
@@ -33,24 +32,27 @@ class PlaybackSettings:
     """How the hands follow the demonstration.
 
     Attributes:
-        transit_speed: Mean speed at which hands come from where they are to where an object's motion begins [m/s].
-        min_transit_ticks: Shortest time for it.
-        joining_share: Of a segment, in which they do so while its motion goes on; before it where that is too short.
+        transit_speed: Mean speed of hands on their way to where an object's motion begins [m/s].
+        min_transit_ticks: Least number of ticks of that way.
+        joining_share: Share of a segment in which hands may join its motion while it goes on. Where this is too short
+            for their way, they make it before the segment begins.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
-        hold_error_m: The same during manipulation, where a robot that stands a little off may trail.
-        hold_ticks: How long it may last.
-        steering_gain: Share of what a hand misses that each tick moves its target by, while it follows an object.
-        max_shift_m: Most of it.
-        path_gain: Velocity for a metre or radian that the base is off its path while hands hold something, forward,
+        hold_error_m: Largest distance of a palm from its target, by kinematics, during manipulation. It is larger than
+            ``reach_error_m``, as a robot that stands a little off may trail.
+        hold_ticks: Number of ticks that a palm may be further from its target than ``hold_error_m``.
+        steering_gain: Share of a hand's error by which its target moves in each tick while it follows an object.
+        max_shift_m: Largest distance by which steering moves a target.
+        path_gain: Velocity for an error of one metre or radian of the base's path while hands hold something: forward,
             sideways and turning [1/s].
-        max_path_velocity: Most that this changes the demonstrated velocity by [m/s, m/s, rad/s].
-        walk_height: Least torso height while hands hold something and the base walks [m], and
-        walk_pitch: most torso pitch [rad]: a controller does not step with a robot that bends deeply.
-        arrive_m: A walk with this little of its way left is done.
-        arrive_ticks: Longest time to walk on where more is left.
-        displaced_m: An object pushed further than this before the hands take it was run into.
+        max_path_velocity: Largest change of the demonstrated velocity for the sake of the path [m/s, m/s, rad/s].
+        walk_height: Least torso height while hands hold something and the base walks [m]; the controller does not step
+            in a deep bend.
+        walk_pitch: Largest torso pitch while hands hold something and the base walks [rad].
+        arrive_m: Distance to the end of a walk at which the walk is done.
+        arrive_ticks: Largest number of ticks to walk on where the end of a walk is further away than ``arrive_m``.
+        displaced_m: Distance from which on an object that moved before the hands took it counts as run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
-        delicate_ticks: Ticks before and after a touch, a grip or a release in which no command is disturbed.
+        delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
     """
 
     transit_speed: float = 0.3
@@ -77,12 +79,12 @@ class GripSettings:
     """How a gripper closes: first the hand settles where the demonstrated one was, then the grip is verified.
 
     Attributes:
-        settle_m: A hand this near to its place beside the object is settled.
-        settle_ticks: Longest settling; whether it was near enough shows in the grip.
-        gain: Share of the remaining error that each tick takes off by moving the target.
-        max_correction_m: Furthest that the target is moved.
+        settle_m: Distance from its place beside the object at which a hand is settled.
+        settle_ticks: Largest number of ticks to settle; the gripper closes after them in any case.
+        gain: Share of the hand's remaining error by which its target moves in each tick.
+        max_correction_m: Largest distance by which settling moves a target.
         grip_n: Least normal force of a grip.
-        grip_ticks: Longest wait for it; without it the object was missed.
+        grip_ticks: Largest number of ticks to wait for that force; after them the object was missed.
     """
 
     settle_m: float = 0.006
@@ -98,10 +100,10 @@ class RetreatSettings:
     """What a robot does between a stage that has failed and the next try.
 
     Attributes:
-        release_ticks: To open the grippers.
-        speed: Of the hands on their way back, in that of their way there.
-        rest_ticks: To let the arms down from where the hands began.
-        back_m: Distance that the base then steps back.
+        release_ticks: Ticks to open the grippers.
+        speed: Speed of the hands on their way back, as a multiple of that on their way to the object.
+        rest_ticks: Ticks to let the arms down.
+        back_m: Distance that the base steps back once the arms are down.
     """
 
     release_ticks: int = 5
@@ -112,29 +114,21 @@ class RetreatSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """All of the above.
+    """How attempts are made; the defaults are those of ``demohlm generate``.
 
     Attributes:
-        retries: How often an attempt may begin again where the walk has missed its goal, the hands could not reach the
-            object, or a gripper has closed beside it; each try has the task's whole time limit.
-        command_noise: Scale of the noise that executed commands carry (``command_noise``); without any where 0.
-        start_spread: Factor by which the region's ranges of the robot's pose are widened.
-        stance_spread: Share of ``STANCE_RANGES`` by which the goal of an attempt's walk is off.
+        variation: How attempts differ from plain ones.
+        retreat: What a robot does between a stage that has failed and the next try.
+        grip: How a gripper closes.
+        locomotion: How the robot walks to its place.
+        playback: How the hands follow the demonstration.
     """
 
-    retries: int = 0
-    command_noise: float = 0.0
-    start_spread: float = 1.0
-    stance_spread: float = 0.0
+    variation: DataVariation = field(default_factory=DataVariation)
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
-
-
-def chosen_settings(facts: Mapping[str, Any]) -> Settings:
-    """Return the settings of a run by what it keeps of itself, as ``meta/demohlm.json``; older runs keep less."""
-    return Settings(**{name: facts[name] for name in CHOICES if name in facts})
 
 
 class StageError(Exception):
@@ -157,7 +151,7 @@ def first_approach(segments: Sequence[Segment]) -> Segment:
 
 
 def choose_placement(
-    world: World, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
+    world: WorldView, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
 ) -> retarget.Placement:
     """Choose from where to act on the first object that a hand goes to."""
     first = first_approach(segments)
@@ -190,7 +184,7 @@ def stance(seed: int, index: int, spread: float) -> np.ndarray:
     return np.random.default_rng([STANCE_STREAM, seed, index]).uniform(low, high)
 
 
-def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
+def locomotion(world: WorldView, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
     """Walk until the base stands at its goal (x, y, yaw); fails with "off_course" where it does not get there."""
     try:
         yield from walk(lambda: world.pose("pelvis"), goal, settings)
@@ -205,7 +199,7 @@ def locomotion(world: World, goal: np.ndarray, settings: LocomotionSettings) -> 
         ) from None
 
 
-def step_back(world: World, settings: RetreatSettings) -> Iterator[np.ndarray]:
+def step_back(world: WorldView, settings: RetreatSettings) -> Iterator[np.ndarray]:
     """Let the arms down and step back, for another try; how far exactly does not matter."""
     last, rest = world.command(), command.rest()
     for share in np.arange(1, settings.rest_ticks + 1) / settings.rest_ticks:

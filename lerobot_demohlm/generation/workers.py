@@ -69,9 +69,9 @@ class ProcessWorkers:
     """Worker processes of one thread each; they end with this process, however it ends, and leave Ctrl-C to it.
 
     Args:
-        make: What they do.
-        directory: Of the run.
-        num_workers: Most processes at once; one is started when there is a block for it.
+        make: Makes a block in a worker.
+        directory: The run's directory.
+        num_workers: Largest number of processes; one is started when there is a block for it.
     """
 
     def __init__(self, make: Make, directory: Path, num_workers: int) -> None:

@@ -13,7 +13,6 @@ from gym_demohlm.errors import DatasetError, PolicyError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.facts import read_facts, require_new_root
 from lerobot_demohlm.policies.presets import NAMES, POLICIES, PRESETS, train_config
-from lerobot_demohlm.reproducibility import provenance
 
 if TYPE_CHECKING:
     from lerobot.configs.train import TrainPipelineConfig
@@ -117,7 +116,7 @@ def main(arguments: argparse.Namespace) -> None:
     """
     if arguments.num_threads < 1:
         raise PolicyError(f"num_threads={arguments.num_threads}", "1 or more", "correct --num-threads")
-    root = arguments.root or Path("data") / provenance.file_name(get_task(arguments.task))
+    root = arguments.root or Path("data") / get_task(arguments.task).slug
     read_facts(root)
     output = arguments.output or Path("outputs") / f"{root.name}_{arguments.policy}_{arguments.preset}"
     chosen = {name: getattr(arguments, name) for name in ("steps", "seed", "num_episodes", "device")}

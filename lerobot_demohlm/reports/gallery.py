@@ -29,7 +29,6 @@ from lerobot_demohlm.datasets.facts import require_new_root
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.reports.report import Film, film_strip, write_video
-from lerobot_demohlm.reproducibility import provenance
 
 CAMERAS = {"overview": "A fixed camera", "head": "The robot's head camera"}
 STRIP_FRAMES, STRIP_WIDTH = 6, 320  # frames of a strip, and the width of one [px]
@@ -83,7 +82,7 @@ class Shots(Sequence[np.ndarray]):
 
 
 def generated_take(task: Task, region: str, seed: int, index: int, demonstration: Path | None = None) -> Take:
-    """Make one attempt of a generation run.
+    """Make one attempt, the one that ``demohlm generate`` makes with this seed by default.
 
     Args:
         task: The task.
@@ -143,7 +142,7 @@ def write_take(take: Take, root: Path, width: int = WIDTH, videos: bool = True) 
     root.mkdir(parents=True, exist_ok=True)
     sim, height = Simulation(take.task), round(width * HEIGHT / WIDTH)
     sim.model.vis.quality.shadowsize = SHADOW_SIZE
-    stem = provenance.file_name(take.task)
+    stem = take.task.slug
     with ExitStack() as stack:
         stack.callback(sim.close)
         shaded = stack.enter_context(Renderer(sim.model, width, height, shadows=True))
@@ -175,7 +174,7 @@ def render_page(takes: Sequence[Take], template: str, folder: str, videos: bool)
         keep_trailing_newline=True,
     )
     text = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / template).read_text()
-    shown = [{"take": take, "stem": provenance.file_name(take.task)} for take in takes]
+    shown = [{"take": take, "stem": take.task.slug} for take in takes]
     return environment.from_string(text).render(shown=shown, cameras=CAMERAS, folder=folder, videos=videos)
 
 
@@ -191,7 +190,7 @@ def write_markdown(takes: Sequence[Take], root: Path, page: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for take in takes:
         for camera in CAMERAS:
-            name = f"{provenance.file_name(take.task)}_{camera}.png"
+            name = f"{take.task.slug}_{camera}.png"
             shutil.copyfile(root / name, folder / name)
     page.write_text(render_page(takes, "gallery.md.j2", os.path.relpath(folder, page.parent), videos=False))
 

@@ -3,7 +3,6 @@
 import functools
 import hashlib
 import platform
-import re
 from pathlib import Path
 
 import mujoco
@@ -11,7 +10,6 @@ import numpy as np
 
 import gym_demohlm
 from gym_demohlm.control.whole_body import Weights
-from gym_demohlm.task import Task
 
 _VECTOR_UNITS = ("avx512f", "avx2", "sse4_2", "sve", "asimd")  # widest first
 
@@ -53,8 +51,3 @@ def cpu_family() -> str:
     flags = entries.get("flags", entries.get("Features", "")).split()
     vector = next((unit for unit in _VECTOR_UNITS if unit in flags), "")
     return " ".join(part for part in (platform.machine(), entries.get("vendor_id", ""), vector) if part)
-
-
-def file_name(task: Task) -> str:
-    """Return a task's name as files have it: ``LiftBox`` -> ``lift_box``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", task.name).lower()

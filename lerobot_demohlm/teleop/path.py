@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 
 WATCHING_GAIN = 0.1  # share of what a palm misses that a watching operator makes up for each tick
@@ -39,7 +40,7 @@ class HandPath:
         dt: Tick [s].
     """
 
-    def __init__(self, start: np.ndarray, waypoints: Sequence[Waypoint], dt: float = 0.1) -> None:
+    def __init__(self, start: np.ndarray, waypoints: Sequence[Waypoint], dt: float = STEP_DT) -> None:
         hands, grippers, watched, before = [], [], [], start
         for waypoint in waypoints:
             ticks = max(1, round(waypoint.duration_s / dt))

@@ -72,14 +72,14 @@ def script_of(task: Task) -> Script:
     """
     if task.name in _registered:
         return _registered[task.name]
-    name = f"{scripts.__name__}.{provenance.file_name(task)}"
+    name = f"{scripts.__name__}.{task.slug}"
     try:
         module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name != name:
             raise
         available = [*(entry.name for entry in pkgutil.iter_modules(scripts.__path__)), *_registered]
-        raise UnknownNameError("scripted operator", provenance.file_name(task), available) from None
+        raise UnknownNameError("scripted operator", task.slug, available) from None
     return Script(start=module.START, make_operator=module.make_operator)
 
 

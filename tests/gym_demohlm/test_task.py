@@ -90,7 +90,6 @@ def test_every_task_is_registered_and_documented(name: str) -> None:
     module = inspect.getmodule(task.build)
     assert module is not None and module.__name__.startswith(tasks.__name__)
     assert inspect.getdoc(module)
-    assert len(inspect.getsource(module).splitlines()) < 120
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -141,7 +140,7 @@ def test_a_task_from_outside_needs_nothing_else() -> None:
 def test_a_module_may_bring_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [
         "from dataclasses import replace",
-        "from gym_demohlm.task import get_task, register_task",
+        "from gym_demohlm.registry import get_task, register_task",
         "register_task(replace(get_task('LiftBox'), name='LiftBoxAgain'))",
     ]
     (tmp_path / "brought_task.py").write_text("\n".join(lines))

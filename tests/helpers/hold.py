@@ -3,6 +3,7 @@
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.robot import g1
 
 
@@ -12,25 +13,17 @@ class HoldController:
     def __init__(self, num_worlds: int) -> None:
         self.state = np.zeros((num_worlds, 3))
 
-    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Forget the smoothed rate of some worlds."""
-        self.state[worlds] = gyro
+        self.state[worlds] = sensed.gyro
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Return the targets (n, 29) [rad]."""
         rows = slice(None) if worlds is None else worlds
-        self.state[rows] = 0.8 * self.state[rows] + 0.2 * gyro
+        self.state[rows] = 0.8 * self.state[rows] + 0.2 * sensed.gyro
         targets = np.tile(g1.HOME, (len(commands), 1))
         targets[:, [g1.BODY_JOINTS.index("left_ankle_pitch"), g1.BODY_JOINTS.index("right_ankle_pitch")]] += (
             0.1 * self.state[rows][:, 1:2]
         )
-        targets[:, -14:] = commands[:, command.ARMS]
+        targets[:, [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]] = commands[:, command.ARMS]
         return targets

@@ -10,10 +10,12 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation.worlds import Worlds
 from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import provenance
 
 REGION, SEED, NUM_ATTEMPTS = "R1", 3, 3
@@ -39,10 +41,13 @@ def generate(root: Path) -> None:
         demonstration_hash=demonstration.content_hash,
         controller_hash=provenance.controller_hash(),
         model_hash=provenance.model_hash(build_scene(TASK).model),
+        num_episodes=None,
         num_attempts=NUM_ATTEMPTS,
+        block_size=NUM_ATTEMPTS,
         keep_failures=True,
+        variation=PLAIN,
     )
-    attempts = Attempts(TASK, demonstration, REGION, SEED, num_worlds=NUM_ATTEMPTS)
+    attempts = Attempts(TASK, demonstration, REGION, SEED, NUM_ATTEMPTS, Settings(variation=PLAIN))
     run = GenerationRun.open(root, "user/small", facts)
     for block in run.pending_blocks():
         write_block(run.directory, facts, block, attempts.run(block))

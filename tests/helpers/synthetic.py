@@ -6,7 +6,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.episode import Episode
-from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.facts import FORMAT_VERSION, GenerationFacts, installed_versions
 
 
 def make_episode(index: int, *, outcome: str = "success", length: int = 12, text: str = "Lift the box.") -> Episode:
@@ -31,7 +31,7 @@ def make_episode(index: int, *, outcome: str = "success", length: int = 12, text
 
 
 def make_facts(**changes: object) -> GenerationFacts:
-    """Return the facts of a small run."""
+    """Return the facts of a small run; knobs of its variation, plain ones, may be named among the changes."""
     facts: dict = {
         "task": "LiftBox",
         "task_text": "Lift the box.",
@@ -40,7 +40,11 @@ def make_facts(**changes: object) -> GenerationFacts:
         "demonstration_hash": "d" * 64,
         "controller_hash": "c" * 64,
         "model_hash": "m" * 64,
+        "num_episodes": None,
         "num_attempts": 10,
         "block_size": 4,
+        "keep_failures": False,
+        "versions": installed_versions(),
+        "format_version": FORMAT_VERSION,
     }
-    return GenerationFacts(**(facts | changes))
+    return GenerationFacts.read(facts | changes)

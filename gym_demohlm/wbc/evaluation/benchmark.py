@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.control import attitude, command
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -49,7 +50,7 @@ def tracked(simulation: Simulation) -> dict[str, np.ndarray]:
     """
     T_pelvis, T_torso = simulation.pose("pelvis"), simulation.pose("torso")
     heading = np.arctan2(T_pelvis[:, 1, 0], T_pelvis[:, 0, 0])
-    velocity = simulation.qvel[:, :3]
+    velocity = simulation.velocity("pelvis")[:, :3]
     cos, sin = np.cos(heading), np.sin(heading)
     roll, pitch = attitude.roll_pitch(-T_torso[:, 2, :3])
     return {
@@ -191,12 +192,11 @@ def run(
 
 def push_robots(simulation: Simulation, speed: float | np.ndarray, rng: np.random.Generator) -> None:
     """Change the horizontal velocity of every robot at once, in a random direction, by ``speed`` [m/s], one or (N,)."""
-    snapshot = simulation.snapshot()
     angle = rng.uniform(-np.pi, np.pi, simulation.num_worlds)
-    first = 1 + simulation.model.nq + simulation.scene.base_qvel
-    snapshot["physics"][:, first] += speed * np.cos(angle)
-    snapshot["physics"][:, first + 1] += speed * np.sin(angle)
-    simulation.restore(snapshot)
+    velocity = simulation.velocity("pelvis")
+    velocity[:, 0] += speed * np.cos(angle)
+    velocity[:, 1] += speed * np.sin(angle)
+    simulation.set_velocity("pelvis", velocity)
 
 
 def tick_share(simulation: Simulation, seconds: float = 2.0) -> float:
@@ -208,11 +208,12 @@ def tick_share(simulation: Simulation, seconds: float = 2.0) -> float:
     for _ in range(round(seconds / STEP_DT)):
         simulation.step(commands)
     whole = time.perf_counter() - began
-    rest = np.zeros((num_worlds, len(g1.BODY_JOINTS))) + g1.HOME
+    home, still = np.tile(g1.HOME, (num_worlds, 1)), np.zeros((num_worlds, len(g1.BODY_JOINTS)))
     upright = np.tile([1.0, 0, 0, 0], (num_worlds, 1))
+    sensed = Proprioception(quat_wxyz=upright, gyro=np.zeros((num_worlds, 3)), q=home, dq=still)
     began = time.perf_counter()
     for _ in range(round(seconds / CONTROL_DT)):
-        controller.step(upright, np.zeros((num_worlds, 3)), rest, 0 * rest, commands)
+        controller.step(sensed, commands)
     ticks = time.perf_counter() - began
     return ticks / (whole - ticks)
 

@@ -26,6 +26,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation, StepResult
@@ -142,21 +143,13 @@ class PeerController:
         self.state = np.zeros((num_worlds, len(g1.BODY_JOINTS) + 3))
         self.velocity = np.zeros((num_worlds, 3))
 
-    def reset(self, worlds: np.ndarray, quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Start some worlds anew: no action yet, left foot at the start of its cycle, right foot half a cycle away."""
         self.state[worlds] = 0.0
         self.state[worlds, -2] = np.pi
         self.velocity[worlds] = 0.0
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Return joint targets (M, 29) [rad] for one tick; arguments as of ``WholeBodyController.step``."""
         policy = self.policy
         chosen = slice(None) if worlds is None else worlds
@@ -167,12 +160,12 @@ class PeerController:
         order = np.argsort(policy.joint_index)  # of the policy's joints among ours
         parts = {
             "actions": state[:, :joints],
-            "base_ang_vel": gyro,
-            "projected_gravity": _gravity(quat_wxyz),
+            "base_ang_vel": sensed.gyro,
+            "projected_gravity": _gravity(sensed.quat_wxyz),
             "command_lin_vel": velocity[:, :2],
             "command_ang_vel": velocity[:, 2:],
-            "dof_pos": (q - policy.default)[:, order],
-            "dof_vel": dq[:, order],
+            "dof_pos": (sensed.q - policy.default)[:, order],
+            "dof_vel": sensed.dq[:, order],
             "sin_phase": np.sin(phases),
             "cos_phase": np.cos(phases),
         }
@@ -211,13 +204,13 @@ class PeerSimulation(Simulation):
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
         """Start episodes in the peer's default pose, soles on the floor; arguments as of ``Simulation.reset``."""
         super().reset(initial_states, worlds)
-        rows = self._rows(worlds)
-        self._qpos[rows[:, None], self.scene.body_qpos] = self.peer.policy.default
-        self._stale[rows] = True
-        soles = np.minimum(*(self.pose(f"{side}_sole")[rows, 2, 3] for side in g1.SIDES))
-        self._qpos[rows, self.scene.base_qpos + 2] -= soles
-        self._stale[rows] = True
-        self.peer.reset(rows, *self._proprioception(rows))
+        rows = np.arange(self.num_worlds) if worlds is None else worlds
+        for joint, angle in zip(g1.BODY_JOINTS, self.peer.policy.default, strict=True):
+            self.set_joint(f"{joint}_joint", angle, worlds=rows)
+        T_world_pelvis = self.pose("pelvis")[rows]
+        T_world_pelvis[:, 2, 3] -= np.minimum(*(self.pose(f"{side}_sole")[rows, 2, 3] for side in g1.SIDES))
+        self.set_pose("pelvis", T_world_pelvis, rows)
+        self.peer.reset(rows, self.proprioception(rows))
 
     def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
         """Hand the peer its velocities unclipped, and step; arguments as of ``Simulation.step``."""

@@ -92,20 +92,20 @@ class Recorder(Simulation):
         super().__init__(trial_task(), controller=WholeBodyController(1, weights))
         self.states: list[np.ndarray] = []
         self.told: list[np.ndarray] = []
+        self.on_tick = self._keep
 
-    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        rows = super()._tick(tick, rows, commands)
-        self.states.append(self._physics[0].copy())
+    def _keep(self, _rows: np.ndarray, commands: np.ndarray) -> None:
+        self.states.append(self.snapshot()["physics"][0])
         self.told.append(commands[0].copy())
-        return rows
 
     def push(self, forward: float, sideways: float) -> None:
         """Change the velocity of the base suddenly, in its heading frame [m/s]."""
         T_world_pelvis = self.pose("pelvis")[0]
         heading = np.arctan2(T_world_pelvis[1, 0], T_world_pelvis[0, 0])
-        first = self.scene.base_qvel
-        self._qvel[0, first] += np.cos(heading) * forward - np.sin(heading) * sideways
-        self._qvel[0, first + 1] += np.sin(heading) * forward + np.cos(heading) * sideways
+        velocity = self.velocity("pelvis")
+        velocity[0, 0] += np.cos(heading) * forward - np.sin(heading) * sideways
+        velocity[0, 1] += np.sin(heading) * forward + np.cos(heading) * sideways
+        self.set_velocity("pelvis", velocity)
 
     def show(self, state: np.ndarray) -> None:
         """Bring the world to a recorded physics state."""
@@ -156,7 +156,8 @@ def film(recorder: Recorder, take: Take, path: Path, *, shadows: bool = True) ->
     every = round(1 / (FRAMES_PER_SECOND * CONTROL_DT))
     camera = mujoco.MjvCamera()
     camera.type, camera.distance, camera.azimuth, camera.elevation = mujoco.mjtCamera.mjCAMERA_FREE, 2.3, 130.0, -12.0
-    camera.lookat[:] = take.states[0, 1], take.states[0, 2], 0.62
+    recorder.show(take.states[0])
+    camera.lookat[:] = *recorder.pose("pelvis")[0, :2, 3], 0.62
     font = ImageFont.load_default(size=22)
     recorder.model.vis.quality.shadowsize = 1024  # px: an image takes a quarter less time than with the scene's 4096
     with Renderer(recorder.model, shadows=shadows) as renderer, av.open(str(path), "w") as container:
@@ -165,7 +166,7 @@ def film(recorder: Recorder, take: Take, path: Path, *, shadows: bool = True) ->
         for tick in range(0, len(take.labels), every):
             recorder.show(take.states[tick])
             lag = 1 - every * CONTROL_DT / 0.5  # follows within half a second
-            camera.lookat[:2] = lag * camera.lookat[:2] + (1 - lag) * take.states[tick, 1:3]
+            camera.lookat[:2] = lag * camera.lookat[:2] + (1 - lag) * recorder.pose("pelvis")[0, :2, 3]
             image = Image.fromarray(renderer.render(recorder.mj_data(), camera))
             ImageDraw.Draw(image).text((16, 12), take.labels[tick], fill=(20, 20, 20), font=font)
             container.mux(stream.encode(av.VideoFrame.from_image(image)))

@@ -22,7 +22,7 @@ from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.timing import STEP_DT
+from gym_demohlm.timing import PHYSICS_DT, STEP_DT
 from gym_demohlm.wbc.evaluation.commanded_posture import Figure
 from gym_demohlm.wbc.evaluation.trial import trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import ARM_MIRROR
@@ -37,7 +37,7 @@ _CELL = 0.08  # m, edge of the cells among which targets are drawn uniformly
 
 STANDING_TOLERANCE, WALKING_TOLERANCE = 0.01, 0.02  # m
 WALKING_SPEED = (0.2, 0.3)  # m/s
-GAIT_SAMPLES = round(reference.GAIT.period_s / g1.PHYSICS_DT)
+GAIT_SAMPLES = round(reference.GAIT.period_s / PHYSICS_DT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +187,7 @@ def reach_walking(
         p_world_palms = np.concatenate(palms, axis=1)
         goals = poses.transform(frames[:, :, None], places[:, None, :, :3, 3])
         distance = np.linalg.norm(p_world_palms - goals, axis=-1)
-        last = slice(-round(schedule.measured / g1.PHYSICS_DT) - GAIT_SAMPLES // 2, -GAIT_SAMPLES // 2)
+        last = slice(-round(schedule.measured / PHYSICS_DT) - GAIT_SAMPLES // 2, -GAIT_SAMPLES // 2)
         return Reaches(errors=distance[:, last].mean(axis=1), fallen=simulation.fallen() | simulation.unstable)
 
     return _rounds(simulation, targets, hands, one_round)

@@ -11,10 +11,12 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.control.arm_load import HAND
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.timing import PHYSICS_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +35,7 @@ class Disturbance:
     torso_load: float = 0.0
     friction: float | None = None
     delay_ticks: int = 0
-    timestep: float = g1.PHYSICS_DT
+    timestep: float = PHYSICS_DT
 
 
 class DelayedController(WholeBodyController):
@@ -49,20 +51,12 @@ class DelayedController(WholeBodyController):
         super().__init__(num_worlds, weights)
         self._waiting = np.tile(g1.HOME, (delay_ticks, num_worlds, 1))
 
-    def step(
-        self,
-        quat_wxyz: np.ndarray,
-        gyro: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        commands: np.ndarray,
-        worlds: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by a tick and return the targets computed ``delay_ticks`` ago; arguments as in the base class."""
         chosen = slice(None) if worlds is None else worlds
         late = self._waiting[0, chosen].copy()
         self._waiting[:-1, chosen] = self._waiting[1:, chosen]
-        self._waiting[-1, chosen] = super().step(quat_wxyz, gyro, q, dq, commands, worlds)
+        self._waiting[-1, chosen] = super().step(sensed, commands, worlds)
         return late
 
 

@@ -16,6 +16,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts, read_records
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.block import RECORDS
 from lerobot_demohlm.reports.explain import pages
@@ -76,7 +77,7 @@ def explain_attempt(
     Raises:
         DatasetError: There is no such attempt, or the demonstration is not the run's.
     """
-    from lerobot_demohlm.generation.stages import chosen_settings
+    from lerobot_demohlm.generation.stages import Settings
     from lerobot_demohlm.reports.explain.attempt_page import attempt_page
     from lerobot_demohlm.reports.explain.trace import trace
 
@@ -92,7 +93,8 @@ def explain_attempt(
             f"{facts['demonstration_hash'][:12]}, which the run was made from",
             "name its directory with --demonstration",
         )
-    made = trace(task, source, facts["region"], facts["seed"], attempt, chosen_settings(facts))
+    settings = Settings(variation=DataVariation.read(facts))
+    made = trace(task, source, facts["region"], facts["seed"], attempt, settings)
     same = made.episode.digest == records[attempt]["digest"]
     again = agreement(records[attempt], made.episode)
     origin = f"{facts['task']}, {facts['region']}, seed {facts['seed']}, attempt {attempt} of {len(records)}"

@@ -15,9 +15,9 @@ from gym_demohlm.robot import g1
 from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
+from gym_demohlm.simulation.judge import COLLISION_N
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.demonstrations.timeline import draw_timeline
-from lerobot_demohlm.generation.attempt import COLLISION_N
 from lerobot_demohlm.generation.locomotion import LocomotionSettings
 from lerobot_demohlm.reports.explain import figures, story
 from lerobot_demohlm.reports.explain.figures import STAGE_COLOURS, Curve, Plan, chart

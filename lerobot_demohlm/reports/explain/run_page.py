@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from gym_demohlm.task import Region, Task
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.generation.stages import STAGES
 from lerobot_demohlm.reports.explain.figures import BAD, GOOD, OUTCOME_COLOURS, Axis, histogram, rate_bars, rate_map
@@ -34,7 +35,7 @@ def run_page(root: Path, facts: Mapping[str, Any], records: Sequence[Mapping[str
     success = np.array([record["outcome"] == "success" for record in records])
     by_length = sorted((record for record in records if record["outcome"] == "success"), key=lambda r: r["length_s"])
     failed = [record for record in records if record["outcome"] != "success"]
-    region = task.region(facts["region"]).widened(facts.get("start_spread", 1.0))
+    region = task.region(facts["region"]).widened(DataVariation.read(facts).start_spread)
     return render(
         "run.html.j2",
         title=f"{facts['task']}, {facts['region']}, seed {facts['seed']}: {len(records)} attempts",

@@ -16,7 +16,7 @@ from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
 from lerobot_demohlm.demonstrations.segmentation import contact_events
-from lerobot_demohlm.generation.attempt import Attempts, Running
+from lerobot_demohlm.generation.attempt import Attempt, Attempts
 from lerobot_demohlm.generation.playback import Started
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings
@@ -126,7 +126,7 @@ class Trace:
 class _Recorder:
     """Takes down one attempt as it goes."""
 
-    running: Running | None = None
+    running: Attempt | None = None
     snapshots: list[dict[str, np.ndarray]] = field(default_factory=list)
     frames: dict[str, list[np.ndarray]] = field(default_factory=dict)
     grippers: list[np.ndarray] = field(default_factory=list)
@@ -143,7 +143,7 @@ class _Recorder:
             self.frames.setdefault(name, []).append(sim.pose(name)[0])
         self.grippers.append(sim.gripper_positions[0])
 
-    def on_command(self, attempt: Running, _command: np.ndarray) -> None:
+    def on_command(self, attempt: Attempt, _command: np.ndarray) -> None:
         """Take down what the command is for."""
         self.running, playback = attempt, attempt.playback
         self.targets.append(np.full((2, 4, 4), np.nan) if playback is None else playback.last_targets.copy())

@@ -12,6 +12,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.task import InitialState
 from gym_demohlm.tasks.push_cart import BAR_X, CART_POSITION
+from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
@@ -49,7 +50,7 @@ class PushCartOperator:
         if self._T_base_hands is None:
             self._T_base_hands = poses.invert(T_world_base) @ self._T_world_hands
         self._tick += 1
-        time_s = 0.1 * self._tick
+        time_s = STEP_DT * self._tick
         if time_s > PUSH_S + HOLD_S:
             return None
         return OperatorPoses(

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gym_demohlm.control import arm_load, attitude, command, features, odometry, reference
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FORMAT, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
@@ -16,29 +17,28 @@ from gym_demohlm.wbc.training import quasi_static
 from gym_demohlm.wbc.training.mdp import MdpConfig, WholeBodyMdp
 
 
-def _random_inputs(count: int, seed: int) -> dict[str, np.ndarray]:
+def _random_inputs(count: int, seed: int) -> tuple[Proprioception, np.ndarray]:
+    """Return what robots sense, and commands (count, 23)."""
     rng = np.random.default_rng(seed)
     quat = rng.normal([1, 0, 0, 0], 0.1, (count, 4))
     commands = rng.uniform(command.LOWER, command.UPPER, (count, command.SIZE))
-    return {
-        "quat_wxyz": quat / np.linalg.norm(quat, axis=1, keepdims=True),
-        "gyro": rng.normal(0, 0.5, (count, 3)),
-        "q": g1.HOME + rng.normal(0, 0.1, (count, 29)),
-        "dq": rng.normal(0, 0.5, (count, 29)),
-        "commands": commands,
-    }
+    sensed = Proprioception(
+        quat_wxyz=quat / np.linalg.norm(quat, axis=1, keepdims=True),
+        gyro=rng.normal(0, 0.5, (count, 3)),
+        q=g1.HOME + rng.normal(0, 0.1, (count, 29)),
+        dq=rng.normal(0, 0.5, (count, 29)),
+    )
+    return sensed, commands
 
 
 def _run(worlds: list[int], ticks: int = 8, total: int = 21) -> tuple[np.ndarray, np.ndarray]:
     controller = WholeBodyController(len(worlds))
-    index = np.arange(len(worlds))
-    inputs = {name: value[worlds] for name, value in _random_inputs(total, 0).items()}
-    start = {name: value for name, value in inputs.items() if name != "commands"}
-    controller.reset(index, **start)
+    rows = np.array(worlds)
+    controller.reset(np.arange(len(worlds)), _random_inputs(total, 0)[0][rows])
     targets = np.zeros((len(worlds), 29))
     for tick in range(ticks):
-        inputs = {name: value[worlds] for name, value in _random_inputs(total, 1 + tick).items()}
-        targets = controller.step(**inputs)
+        sensed, commands = _random_inputs(total, 1 + tick)
+        targets = controller.step(sensed[rows], commands[rows])
     return targets, controller.state
 
 
@@ -52,25 +52,24 @@ def test_same_bits_alone_and_in_any_batch() -> None:
 
 def test_subset_of_worlds_moves_only_itself() -> None:
     controller = WholeBodyController(4)
-    inputs = _random_inputs(4, 3)
-    start = {name: value for name, value in inputs.items() if name != "commands"}
-    controller.reset(np.arange(4), **start)
+    sensed, commands = _random_inputs(4, 3)
+    controller.reset(np.arange(4), sensed)
     before = controller.state.copy()
     some = np.array([2, 0])
-    controller.step(**{name: value[some] for name, value in inputs.items()}, worlds=some)
+    controller.step(sensed[some], commands[some], some)
     assert np.array_equal(controller.state[[1, 3]], before[[1, 3]])
     assert not np.array_equal(controller.state[some], before[some])
 
 
 def test_state_restores_a_moment() -> None:
     controller = WholeBodyController(3)
-    inputs = _random_inputs(3, 5)
-    controller.reset(np.arange(3), **{name: value for name, value in inputs.items() if name != "commands"})
+    sensed, commands = _random_inputs(3, 5)
+    controller.reset(np.arange(3), sensed)
     saved = controller.state.copy()
-    first = controller.step(**inputs)
-    controller.step(**inputs)
+    first = controller.step(sensed, commands)
+    controller.step(sensed, commands)
     controller.state = saved
-    assert np.array_equal(controller.step(**inputs), first)
+    assert np.array_equal(controller.step(sensed, commands), first)
 
 
 def test_mirrored_robot_gets_mirrored_targets() -> None:

@@ -76,26 +76,19 @@ def test_the_whole_scene_may_move() -> None:
     sim = simulation(2)
     sim.reset([{"robot": [-0.5, 0.0, 0.3], "object": [0.0, 0.0, 0.4]}] * 2)
     T_motion = poses.planar(1.0, -2.0, 2.2)
-    moved = sim.snapshot()
-    for address in (sim.scene.base_qpos, int(sim.model.joint("box").qposadr[0])):
-        start = 1 + address
-        T = T_motion @ poses.pose(moved["physics"][1, start : start + 3], moved["physics"][1, start + 3 : start + 7])
-        moved["physics"][1, start : start + 7] = np.concatenate(poses.split(T))
-    sim.restore(moved)
+    for name in ("pelvis", "box"):
+        sim.set_pose(name, T_motion @ sim.pose(name)[1], np.array([1]))
     np.testing.assert_allclose(*environment_state(sim), atol=1e-6)
     np.testing.assert_allclose(*agent_pos(sim), atol=1e-6)
 
 
 def test_the_robot_reads_its_joints_by_name() -> None:
     sim = simulation()
-    snapshot = sim.snapshot()
-    model = sim.model
     expected = {}
     for index, name in enumerate(("left_elbow", "right_knee", "neck_yaw", "waist_pitch")):
-        joint = model.joint(f"{name}_joint")
-        snapshot["physics"][0, 1 + joint.qposadr[0]] = expected[f"{name}.pos"] = 0.1 + 0.1 * index
-        snapshot["physics"][0, 1 + model.nq + joint.dofadr[0]] = expected[f"{name}.vel"] = 1.0 + index
-    sim.restore(snapshot)
+        angle, speed = 0.1 + 0.1 * index, 1.0 + index
+        sim.set_joint(f"{name}_joint", angle, speed)
+        expected |= {f"{name}.pos": angle, f"{name}.vel": speed}
     seen = dict(zip(STATE_NAMES, agent_pos(sim)[0], strict=True))
     for name, value in expected.items():
         assert seen[name] == pytest.approx(value), name

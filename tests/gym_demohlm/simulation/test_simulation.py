@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.errors import CommandError, SceneError, UnknownNameError
 from gym_demohlm.registry import get_task
+from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.simulation import MAX_SPEED
 from gym_demohlm.task import InitialState
-from gym_demohlm.timing import STEP_DT
+from gym_demohlm.timing import STEP_DT, TICKS
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from tests.helpers.hold import HoldController
 
 TASK = get_task("LiftBox")
@@ -145,10 +148,8 @@ def test_broken_physics_is_reported_and_the_others_go_on(tmp_path: object, monke
     sim, sane = make(4), make(4)
     for each in (sim, sane):
         each.reset(STATES)
-    broken = sim.snapshot()
-    broken["physics"][1, 1 + sim.model.nq] = 1e11  # m/s: MuJoCo's own check stops at 1e10
-    broken["physics"][2, 1 + sim.model.nq + 5] = 2 * MAX_SPEED  # rad/s: finite, but nonsense
-    sim.restore(broken)
+    too_fast = [[1e11, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 2 * MAX_SPEED]]  # MuJoCo's own check stops at 1e10 m/s
+    sim.set_velocity("pelvis", np.array(too_fast), np.array([1, 2]))
     result = sim.step(commands_for(0))
     sane_result = sane.step(commands_for(0))
     assert result.unstable.tolist() == [False, True, True, False]
@@ -237,10 +238,9 @@ def test_the_neck_turns_the_camera_to_the_box() -> None:
         return float(np.arccos(camera[:3, 0] @ towards / np.linalg.norm(towards)))
 
     assert bearing() < 0.01  # from the first image on
-    snapshot = sim.snapshot()
-    snapshot["neck"][:] = 0.0
-    snapshot["physics"][:, 1 + sim.scene.neck_qpos] = 0.0
-    sim.restore(snapshot)
+    sim.restore(sim.snapshot() | {"neck": np.zeros((1, 2))})
+    for joint in ("neck_yaw_joint", "neck_pitch_joint"):
+        sim.set_joint(joint, 0.0)
     start = bearing()
     for _ in range(10):
         sim.step(command.rest()[None])
@@ -263,14 +263,69 @@ def test_success_and_failure_of_lift_box() -> None:
     sim = make(3)
     sim.reset([STATES[0]] * 3)
     assert not sim.success().any() and not sim.failures()["dropped"].any()
-    snapshot = sim.snapshot()
-    address = int(sim.model.joint("box").qposadr[0])
-    pelvis = sim.pose("pelvis")[:, :3, 3]
-    offsets = np.array([[0.4, 0, 0], [0.7, 0, 0], [0.4, 0, -0.6]])
-    snapshot["physics"][:, 1 + address : 4 + address] = pelvis + offsets
-    sim.restore(snapshot)
+    T_world_box = sim.pose("box")
+    T_world_box[:, :3, 3] = sim.pose("pelvis")[:, :3, 3] + [[0.4, 0, 0], [0.7, 0, 0], [0.4, 0, -0.6]]
+    sim.set_pose("box", T_world_box)
     assert sim.success().tolist() == [True, False, False]  # held near, lifted but far, near but low
     assert sim.failures()["dropped"].tolist() == [False, False, True]
+
+
+def test_what_is_set_is_what_is_read() -> None:
+    sim = make(3)
+    sim.reset(STATES[:3])
+    before, some = sim.snapshot(), np.array([2, 0])
+    T = np.stack([poses.pose([1.0, 2.0, 3.0]) @ poses.planar(0.0, 0.0, 0.5), poses.planar(-1.0, 0.0, -2.0)])
+    speed = np.arange(12.0).reshape(2, 6)
+    for name in ("pelvis", "box"):
+        sim.set_pose(name, T, some)
+        sim.set_velocity(name, speed, some)
+        np.testing.assert_allclose(sim.pose(name)[some], T, atol=1e-12)
+        np.testing.assert_array_equal(sim.velocity(name)[some], speed)
+    sim.set_pose("stand", T[0])  # a mocap body, in all worlds
+    np.testing.assert_allclose(sim.pose("stand"), np.stack([T[0]] * 3), atol=1e-12)
+    sim.set_joint("left_knee_joint", np.array([0.3, 0.4]), 2.0, some)
+    knee = g1.BODY_JOINTS.index("left_knee")
+    for positions in (sim.joint_position("left_knee_joint"), sim.joint_positions[:, knee]):
+        assert positions[some].tolist() == [0.3, 0.4]
+    assert sim.joint_velocity("left_knee_joint")[some].tolist() == [2.0, 2.0]
+    after = sim.snapshot()
+    for name in set(before) - {"mocap"}:
+        np.testing.assert_array_equal(after[name][1], before[name][1], err_msg=name)
+    np.testing.assert_array_equal(after["physics"][:, 0], before["physics"][:, 0])  # the time
+
+
+def test_what_cannot_be_set_is_explained() -> None:
+    sim = make(1)
+    for name in ("torso", "left_palm"):  # a body with a hinge, a site
+        with pytest.raises(SceneError, match="no free joint"):
+            sim.set_pose(name, np.eye(4))
+        with pytest.raises(SceneError, match="no free joint"):
+            sim.set_velocity(name, np.zeros(6))
+    with pytest.raises(UnknownNameError, match="left_knee_joint"):
+        sim.set_joint("left_kne_joint", 0.0)
+    with pytest.raises(UnknownNameError, match="floating_base_joint"):
+        sim.set_joint("floating_base_joint", 0.0)
+
+
+def test_the_hook_is_called_after_each_tick_with_the_worlds_that_took_part() -> None:
+    sim, plain = make(3), make(3)
+    seen: list[tuple[list[int], float]] = []
+    for each in (sim, plain):
+        each.reset(STATES[:3])
+    sim.on_tick = lambda worlds, commands: seen.append((worlds.tolist(), commands[0, command.ARMS.start]))
+    active = np.array([True, False, True])
+    for each in (sim, plain):
+        each.step(commands_for(0)[:3], active)
+    assert [worlds for worlds, _ in seen] == [[0, 2]] * TICKS
+    arm = [value for _, value in seen]
+    assert arm == sorted(arm, reverse=arm[0] > arm[-1]) and len(set(arm)) == TICKS  # interpolated over the step
+    for name, values in sim.snapshot().items():
+        np.testing.assert_array_equal(values, plain.snapshot()[name], err_msg=name)
+
+
+def test_the_fields_of_a_snapshot_are_those_of_demonstrations_on_disk() -> None:
+    demonstration = demonstrations.load(None, TASK)
+    assert set(make(1).snapshot()) == set(demonstration.start) == set(demonstration.end)
 
 
 def test_bad_input_is_explained() -> None:

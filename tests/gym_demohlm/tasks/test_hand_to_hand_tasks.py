@@ -20,10 +20,7 @@ def make(name: str, lowered: float = 0.1) -> Simulation:
 
 def put(sim: Simulation, name: str, T_world_body: np.ndarray) -> None:
     """Move a loose body to a pose, at rest."""
-    address = int(sim.model.joint(name).qposadr[0])
-    state = sim.snapshot()
-    state["physics"][0, 1 + address : 8 + address] = np.concatenate(poses.split(T_world_body))
-    sim.restore(state)
+    sim.set_pose(name, T_world_body)
 
 
 @pytest.mark.parametrize("name", ["Handover", "ExchangeCube", "PourWater"])

@@ -31,12 +31,10 @@ def simulation(task: Task) -> Simulation:
 
 def put(sim: Simulation, name: str, T_world_object: np.ndarray, wiped: float = 0.0) -> None:
     """Put a loose object somewhere, with a share of the writing gone where there is one."""
-    snapshot = sim.snapshot()
-    address = 1 + sim.model.joint(name).qposadr[0]
-    snapshot["physics"][0, address : address + 7] = np.concatenate(poses.split(T_world_object))
-    if "memory" in snapshot:
-        snapshot["memory"][:] = np.arange(snapshot["memory"].shape[1]) < wiped * snapshot["memory"].shape[1]
-    sim.restore(snapshot)
+    sim.set_pose(name, T_world_object)
+    size = sim.memory.shape[1]
+    if size:
+        sim.restore(sim.snapshot() | {"memory": (np.arange(size) < wiped * size)[None].astype(np.float64)})
 
 
 @pytest.mark.parametrize("task", [press_cube.TASK, push_cube.TASK, erase_board.TASK], ids=lambda task: task.name)
@@ -49,7 +47,7 @@ def test_the_packaged_demonstration_earns_success(task: Task) -> None:
         assert sim.success()[0] == (name == "end")
         assert not any(failed[0] for failed in sim.failures().values())
     sim.close()
-    kinds = [(entry.hand, entry.kind) for entry in segment(demonstration)]
+    kinds = [(entry.hand, entry.kind) for entry in segment(demonstration, task)]
     assert kinds == [("left", "proprioception"), ("right", "object"), ("right", "proprioception")]
 
 
@@ -107,7 +105,7 @@ def test_the_field_moves_with_the_table_and_not_with_the_cubes_yaw() -> None:
 def test_whichever_way_the_cube_faces_it_is_pushed_onto_the_field() -> None:
     """The face is chosen from which the demonstrated push leads far enough to the left."""
     task, demonstration = push_cube.TASK, demonstrations.load(task=push_cube.TASK)
-    segments, index = segment(demonstration), [entry.name for entry in task.objects].index("cube")
+    segments, index = segment(demonstration, task), [entry.name for entry in task.objects].index("cube")
     way = demonstration.T_world_objects[-1, index, :3, 3] - demonstration.T_world_objects[0, index, :3, 3]
     scene = build_scene(task)
     data, rng = mujoco.MjData(scene.model), np.random.default_rng(0)

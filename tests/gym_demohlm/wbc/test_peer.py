@@ -8,6 +8,7 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
@@ -17,16 +18,15 @@ _INSTALLED = all(importlib.util.find_spec(module) for module in ("holosoma_infer
 needs_peer = pytest.mark.skipif(not _INSTALLED, reason="needs holosoma-inference")
 
 
-def _inputs(count: int, seed: int) -> dict[str, np.ndarray]:
+def _sensed(count: int, seed: int) -> Proprioception:
     rng = np.random.default_rng(seed)
     quat = rng.normal([1, 0, 0, 0], 0.1, (count, 4))
-    return {
-        "quat_wxyz": quat / np.linalg.norm(quat, axis=1, keepdims=True),
-        "gyro": rng.normal(0, 0.5, (count, 3)),
-        "q": g1.HOME + rng.normal(0, 0.1, (count, 29)),
-        "dq": rng.normal(0, 0.5, (count, 29)),
-        "commands": np.tile(command.rest(), (count, 1)),
-    }
+    return Proprioception(
+        quat_wxyz=quat / np.linalg.norm(quat, axis=1, keepdims=True),
+        gyro=rng.normal(0, 0.5, (count, 3)),
+        q=g1.HOME + rng.normal(0, 0.1, (count, 29)),
+        dq=rng.normal(0, 0.5, (count, 29)),
+    )
 
 
 def test_without_the_package_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,7 +41,7 @@ def test_an_unknown_peer_is_refused() -> None:
 
 
 def test_gravity_is_down_seen_from_the_pelvis() -> None:
-    quat = _inputs(5, 0)["quat_wxyz"]
+    quat = _sensed(5, 0).quat_wxyz
     expected = -poses.quat_to_matrix(quat)[:, 2]
     np.testing.assert_allclose(peer._gravity(quat), expected, atol=1e-12)
 
@@ -65,20 +65,20 @@ def test_same_bits_alone_and_in_a_batch(name: str) -> None:
     together = peer.PeerController(4, policy)
     alone = [peer.PeerController(1, policy) for _ in range(4)]
     for controller, worlds in [(together, np.arange(4)), *((one, np.array([0])) for one in alone)]:
-        start = {key: value[: len(worlds)] for key, value in _inputs(4, 2).items() if key != "commands"}
-        controller.reset(worlds, **start)
+        controller.reset(worlds, _sensed(4, 2)[: len(worlds)])
     together.velocity = velocity
+    commands = np.tile(command.rest(), (4, 1))
     targets, single = np.zeros((4, 29)), np.zeros((4, 29))
     for tick in range(4):
-        inputs = _inputs(4, 3 + tick)
-        targets = together.step(**inputs)
+        sensed = _sensed(4, 3 + tick)
+        targets = together.step(sensed, commands)
         for world, controller in enumerate(alone):
             controller.velocity = velocity[[world]]
-            single[world] = controller.step(**{key: value[[world]] for key, value in inputs.items()})[0]
+            single[world] = controller.step(sensed[np.array([world])], commands[[world]])[0]
     np.testing.assert_array_equal(targets, single)
     before = together.state.copy()
     some = np.array([2, 0])
-    together.step(**{key: value[some] for key, value in _inputs(4, 9).items()}, worlds=some)
+    together.step(_sensed(4, 9)[some], commands[some], some)
     np.testing.assert_array_equal(together.state[[1, 3]], before[[1, 3]])
     assert (together.state[some] != before[some]).any(axis=1).all()
 

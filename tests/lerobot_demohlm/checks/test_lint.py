@@ -11,12 +11,13 @@ import pytest
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.worlds import Worlds
 from gym_demohlm.task import Predicate, Task
 from gym_demohlm.tasks.lift_box import BOX_SIZE
 from lerobot_demohlm import cli
 from lerobot_demohlm.checks.lint import MAX_IMPACT_DEPTH, Settings, format_table, lint
-from lerobot_demohlm.checks.overlaps import WatchedSimulation
+from lerobot_demohlm.checks.overlaps import OverlapWatch
 from lerobot_demohlm.demonstrations.demonstration import load
 from lerobot_demohlm.experiments import lines, readme_tables
 
@@ -112,22 +113,21 @@ def test_an_object_inside_another_is_caught() -> None:
 
 def test_an_impact_is_told_from_an_overlap_that_lasts() -> None:
     """A box let fall from 1 m may be found inside the floor by up to a step's way, for an instant; then it rests."""
-    sim = WatchedSimulation(get_task("LiftBox"))
-    qpos = 1 + int(sim.model.joint("box").qposadr[0])
-    qvel = 1 + sim.model.nq + int(sim.model.joint("box").dofadr[0])
+    sim = Simulation(get_task("LiftBox"))
+    watch = OverlapWatch(sim)
     worst = 0.0
     for height in np.linspace(1.0, 1.088, 11):  # m; at 4.4 m/s a step of the physics further each
         sim.reset([{"robot": [-5.0, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}])
-        snapshot = sim.snapshot()
-        snapshot["physics"][0, qpos : qpos + 3] = 2.0, 2.0, height + BOX_SIZE[2] / 2
-        snapshot["physics"][0, qvel : qvel + 6] = 0.0
-        sim.restore(snapshot)
+        T_world_box = sim.pose("box")
+        T_world_box[:, :3, 3] = 2.0, 2.0, height + BOX_SIZE[2] / 2
+        sim.set_pose("box", T_world_box)
+        sim.set_velocity("box", np.zeros(6))
         for _ in range(7):
             sim.step(command.rest()[None])
-        worst = max(worst, sim.deepest.depth)
+        worst = max(worst, watch.deepest.depth)
     sim.close()
-    assert sim.lasting.depth < 0.002 < worst <= MAX_IMPACT_DEPTH
-    assert sim.deepest.where.startswith("floor in box at ")
+    assert watch.lasting.depth < 0.002 < worst <= MAX_IMPACT_DEPTH
+    assert watch.deepest.where.startswith("floor in box at ")
 
 
 def test_a_constant_observation_is_caught() -> None:

@@ -14,12 +14,13 @@ from lerobot_demohlm.demonstrations import segmentation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Event, Segment
 
-PAIRS = (("left", "box"), ("right", "box"))
+TASK = get_task("LiftBox")
+PAIRS = TASK.contact_pairs
 
 
 @pytest.fixture(scope="module")
 def demonstration() -> Demonstration:
-    return demonstrations.load(task=get_task("LiftBox"))
+    return demonstrations.load(task=TASK)
 
 
 def forces(length: int, **touches: tuple[int, int]) -> np.ndarray:
@@ -63,13 +64,13 @@ def test_grippers_close_and_open() -> None:
 
 
 def test_the_packaged_demonstration_has_one_switch_for_both_hands(demonstration: Demonstration) -> None:
-    segments = segmentation.segment(demonstration)
+    segments = segmentation.segment(demonstration, TASK)
     assert [(entry.hand, entry.kind) for entry in segments] == [
         ("left", "object"), ("left", "proprioception"), ("right", "object"), ("right", "proprioception")
     ]  # fmt: skip
     assert len({entry.start for entry in segments if entry.kind == "proprioception"}) == 1
     switch = segments[1].start
-    touch = min(event.tick for event in segmentation.events(demonstration) if event.kind == "touch")
+    touch = min(event.tick for event in segmentation.events(demonstration, TASK) if event.kind == "touch")
     assert switch == touch
     # Until then the box stands still; afterwards it rises.
     heights = demonstration.object_poses[:, 0, 2]
@@ -80,12 +81,12 @@ def test_the_packaged_demonstration_has_one_switch_for_both_hands(demonstration:
 
 @pytest.mark.parametrize("gap", [0, 3, 8])
 def test_hands_that_touch_together_switch_together(demonstration: Demonstration, gap: int) -> None:
-    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(20 + gap, 60)))
+    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(20 + gap, 60)), TASK)
     assert {entry.start for entry in segments if entry.kind == "proprioception"} == {20}
 
 
 def test_hands_that_touch_apart_switch_apart(demonstration: Demonstration) -> None:
-    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(40, 60)))
+    segments = segmentation.segment(with_forces(demonstration, left=(20, 60), right=(40, 60)), TASK)
     assert {entry.hand: entry.start for entry in segments if entry.kind == "proprioception"} == {
         "left": 20,
         "right": 40,
@@ -93,7 +94,7 @@ def test_hands_that_touch_apart_switch_apart(demonstration: Demonstration) -> No
 
 
 def test_an_idle_hand_keeps_its_place_on_the_robot(demonstration: Demonstration) -> None:
-    segments = segmentation.segment(with_forces(demonstration, right=(20, 60)))
+    segments = segmentation.segment(with_forces(demonstration, right=(20, 60)), TASK)
     assert segments[0] == Segment(
         hand="left", kind="proprioception", start=0, stop=len(demonstration), object=None, anchor="root"
     )
@@ -102,7 +103,7 @@ def test_an_idle_hand_keeps_its_place_on_the_robot(demonstration: Demonstration)
 def test_a_second_touch_after_a_release_is_a_second_approach(demonstration: Demonstration) -> None:
     touches = forces(len(demonstration), left=(20, 30))
     touches[40:50, 0] = 10.0
-    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches))
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches), TASK)
     left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
     assert left == [
         ("object", 0, 20),
@@ -118,7 +119,9 @@ def test_segments_cover_every_tick_once(demonstration: Demonstration, seed: int)
     rng = np.random.default_rng(seed)
     noise = np.repeat(rng.uniform(0, 8, size=(-(-len(demonstration) // 6), 2)) * rng.integers(0, 2, size=2), 6, axis=0)
     noise[:6] = [5.0, 0.0]
-    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=noise[: len(demonstration)]))
+    segments = segmentation.segment(
+        dataclasses.replace(demonstration, contact_forces=noise[: len(demonstration)]), TASK
+    )
     for hand in ("left", "right"):
         covered = [tick for entry in segments if entry.hand == hand for tick in range(entry.start, entry.stop)]
         assert covered == list(range(len(demonstration)))
@@ -126,7 +129,7 @@ def test_segments_cover_every_tick_once(demonstration: Demonstration, seed: int)
 
 def test_no_contact_is_an_error(demonstration: Demonstration) -> None:
     with pytest.raises(DemonstrationError, match="without contact"):
-        segmentation.segment(with_forces(demonstration))
+        segmentation.segment(with_forces(demonstration), TASK)
 
 
 def corrections(length: int, **changes: object) -> dict[str, Any]:
@@ -141,7 +144,7 @@ def corrections(length: int, **changes: object) -> dict[str, Any]:
 
 def test_corrections_replace_what_was_found(demonstration: Demonstration) -> None:
     corrected = dataclasses.replace(demonstration, corrections=corrections(len(demonstration)))
-    segments = segmentation.segment(corrected)
+    segments = segmentation.segment(corrected, TASK)
     assert [entry.start for entry in segments] == [0, 10, 0, 10]
     assert segments[1].anchor == "root"
     assert corrected.content_hash != demonstration.content_hash
@@ -153,13 +156,13 @@ def test_corrections_replace_what_was_found(demonstration: Demonstration) -> Non
 def test_corrections_that_do_not_fit_are_errors(demonstration: Demonstration, changes: dict[str, object]) -> None:
     wrong = dataclasses.replace(demonstration, corrections=corrections(len(demonstration), **changes))
     with pytest.raises(DemonstrationError, match=r"segments\.json"):
-        segmentation.segment(wrong)
+        segmentation.segment(wrong, TASK)
 
 
 def test_a_short_gap_is_no_second_approach(demonstration: Demonstration) -> None:
     touches = forces(len(demonstration), left=(20, 30))
     touches[34:50, 0] = 10.0
-    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches))
+    segments = segmentation.segment(dataclasses.replace(demonstration, contact_forces=touches), TASK)
     left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
     assert left == [("object", 0, 20), ("proprioception", 20, len(demonstration))]
 
@@ -170,7 +173,7 @@ def test_a_hand_that_takes_over_follows_the_object_from_where_it_came_to_rest(de
     objects[:] = objects[0]
     objects[:, 0, 1] += np.clip((np.arange(len(objects)) - 25) / 15, 0, 1) * 0.3
     handed = dataclasses.replace(with_forces(demonstration, right=(20, 75), left=(60, 80)), object_poses=objects)
-    segments = segmentation.segment(handed)
+    segments = segmentation.segment(handed, TASK)
     left = [(entry.kind, entry.start, entry.stop) for entry in segments if entry.hand == "left"]
     assert [entry[0] for entry in left] == ["object", "object", "proprioception"]
     assert left[0][2] == left[1][1] and 38 <= left[1][1] <= 41
@@ -178,7 +181,7 @@ def test_a_hand_that_takes_over_follows_the_object_from_where_it_came_to_rest(de
     assert right == [("object", 0), ("proprioception", 20)]
     # An object that is still on its way is met where it was seen first.
     objects[:, 0, 1] = np.arange(len(objects)) * 0.01
-    moving = segmentation.segment(dataclasses.replace(handed, object_poses=objects))
+    moving = segmentation.segment(dataclasses.replace(handed, object_poses=objects), TASK)
     assert [entry.kind for entry in moving if entry.hand == "left"] == ["object", "proprioception"]
 
 
@@ -187,9 +190,41 @@ def test_hands_follow_the_base_once_it_walks(demonstration: Demonstration) -> No
     action[40:55, 0] = 0.3
     walking = dataclasses.replace(with_forces(demonstration, left=(20, 80), right=(20, 80)), action=action)
     for hand in ("left", "right"):
-        track = [entry for entry in segmentation.segment(walking) if entry.hand == hand]
+        track = [entry for entry in segmentation.segment(walking, TASK) if entry.hand == hand]
         assert [(entry.kind, entry.anchor, entry.start) for entry in track] == [
             ("object", "eef_heading", 0),
             ("proprioception", "body", 20),
             ("proprioception", "base", 40),
         ]
+
+
+def test_a_replaced_task_is_segmented_by_itself(demonstration: Demonstration) -> None:
+    """Nothing is looked up: the registered task of that name says otherwise, or there is none."""
+    touching = with_forces(demonstration, left=(20, 60), right=(20, 60))
+    registered = segmentation.segment(touching, TASK)
+    assert {entry.anchor for entry in registered if entry.kind == "proprioception"} == {"body"}
+    by_hands = segmentation.segment(touching, dataclasses.replace(TASK, name="Unregistered", motion_frame="hands"))
+    assert {entry.anchor for entry in by_hands if entry.kind == "proprioception"} == {"eef_heading"}
+    swapped = dataclasses.replace(TASK, contact_pairs=TASK.contact_pairs[::-1])
+    events = segmentation.events(with_forces(demonstration, left=(20, 60)), swapped)
+    assert [(event.hand, event.tick) for event in events] == [("right", 20), ("right", 60)]
+    closing = demonstration.action.copy()
+    closing[30:, command.GRIPPERS] = 1.0
+    gripping = dataclasses.replace(touching, action=closing)
+    for task, kinds in ((TASK, set()), (dataclasses.replace(TASK, hands="gripper"), {"close"})):
+        found = {event.kind for event in segmentation.events(gripping, task)}
+        assert found - {"touch", "release"} == kinds
+
+
+def test_a_replaced_task_takes_corrections_of_its_own_objects(demonstration: Demonstration) -> None:
+    crate = dataclasses.replace(TASK.objects[0], name="crate")
+    pairs = (("left", "crate"), ("right", "crate"))
+    task = dataclasses.replace(TASK, objects=(crate,), gaze_target="crate", contact_pairs=pairs)
+    corrected = dataclasses.replace(demonstration, corrections=corrections(len(demonstration)))
+    with pytest.raises(DemonstrationError, match="crate"):
+        segmentation.segment(corrected, task)
+
+
+def test_a_task_with_other_pairs_is_refused(demonstration: Demonstration) -> None:
+    with pytest.raises(DemonstrationError, match="forces of 2 pairs"):
+        segmentation.segment(demonstration, dataclasses.replace(TASK, contact_pairs=TASK.contact_pairs[:1]))

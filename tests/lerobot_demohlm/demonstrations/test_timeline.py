@@ -21,7 +21,7 @@ TASK = get_task("LiftBox")
 def test_the_figure_gives_each_segment_its_share() -> None:
     demonstration = demonstrations.load(task=TASK)
     pixels = np.asarray(draw_timeline(demonstration))
-    segments = segment(demonstration)
+    segments = segment(demonstration, TASK)
     for kind, colour in FOLLOWS.items():
         ticks = sum(entry.stop - entry.start for entry in segments if entry.kind == kind)
         columns = (pixels == colour).all(axis=-1)
@@ -44,13 +44,13 @@ def test_a_person_corrects_the_segments(copied: Path, tmp_path: Path, capsys: py
     assert figure.stat().st_size > 1000 and "box" in capsys.readouterr().out
     path = copied / CORRECTIONS_PATH
     again = demonstrations.load(copied)
-    assert segment(again) == segment(found)
+    assert segment(again, TASK) == segment(found, TASK)
     content = json.loads(path.read_text())
     for entry in content["segments"]:
         entry["anchor"] = "root"
     path.write_text(json.dumps(content))
     corrected = demonstrations.load(copied)
-    assert {entry.anchor for entry in segment(corrected)} == {"root"}
+    assert {entry.anchor for entry in segment(corrected, TASK)} == {"root"}
     assert corrected.recording_hash == found.recording_hash == found.content_hash
     assert corrected.content_hash != found.content_hash
 

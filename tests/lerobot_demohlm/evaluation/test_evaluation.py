@@ -29,8 +29,15 @@ from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import Chunk
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
 from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import make_chunked_mlp_pre_post_processors
 
-TASK = register_task(replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)).name
+BRIEF = replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)
+TASK = BRIEF.name
 SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 23}
+
+
+@pytest.fixture(autouse=True)
+def brief_task(known_tasks: None) -> None:
+    """Make the brief task known to each test of this file alone."""
+    register_task(BRIEF)
 
 
 def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
@@ -188,14 +195,16 @@ def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -
         ({"success_held", "collided"}, "success"),
         ({"fell", "dropped"}, "fell"),
         ({"unstable"}, "fell"),
-        ({"dropped", "collided"}, "dropped"),
+        ({"dropped", "collided"}, "collided"),
+        ({"dropped"}, "dropped"),
+        ({"spilled"}, "dropped"),
         ({"collided"}, "collided"),
         (set(), "timeout"),
     ],
 )
 def test_outcome_names_what_went_wrong_worst(flags: set[str], outcome: str) -> None:
-    names = ("success_held", "fell", "unstable", "dropped", "collided")
-    assert rollouts._outcome({name: name in flags for name in names}) == outcome
+    names = ("success_held", "fell", "unstable", "collided", "dropped", "spilled")
+    assert rollouts._outcome({name: name in flags for name in names}, ("dropped", "spilled")) == outcome
 
 
 def test_wilson_intervals() -> None:

@@ -18,13 +18,16 @@ from lerobot_demohlm import cli
 from lerobot_demohlm.checks import verify
 from lerobot_demohlm.datasets import reader
 from lerobot_demohlm.datasets.episode import Episode
+from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
-from lerobot_demohlm.generation import command_noise, stages
-from lerobot_demohlm.generation.attempt import Attempts, Running, initial_state
+from lerobot_demohlm.generation import command_noise, runner, stages
+from lerobot_demohlm.generation.attempt import Attempt, Attempts, initial_state
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.command_noise import DEVIATIONS, LARGEST, LONGEST, SHARES, SHORTEST, bursts, disturbed
 from lerobot_demohlm.generation.run import GenerationRun
-from lerobot_demohlm.generation.stages import Settings, chosen_settings
+from lerobot_demohlm.generation.runner import GenerationRequest
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reports.explain import explain_attempt
 from tests.helpers.synthetic import make_facts
 
@@ -32,8 +35,13 @@ TASK, REGION, SEED, SCALE = get_task("LiftBox"), "R1", 7, 1.0
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
 
+def varied(**knobs: float) -> Settings:
+    """Return settings whose attempts are plain but for these knobs."""
+    return Settings(variation=DataVariation.read(knobs))
+
+
 def make(indices: range, scale: float = SCALE) -> list[Episode]:
-    attempts = Attempts(TASK, demonstrations.load(task=TASK), REGION, SEED, len(indices), Settings(command_noise=scale))
+    attempts = Attempts(TASK, demonstrations.load(task=TASK), REGION, SEED, len(indices), varied(command_noise=scale))
     made = attempts.run(indices)
     attempts.close()
     return made
@@ -162,17 +170,33 @@ def test_executed_commands_that_are_tampered_with_are_found(root: Path, capsys: 
 def test_the_facts_of_a_run_say_how_its_data_is_varied(tmp_path: Path) -> None:
     chosen = {"command_noise": 0.5, "start_spread": 1.2, "stance_spread": 0.7, "retries": 1}
     facts = make_facts(**chosen)
-    assert chosen_settings(dataclasses.asdict(facts)) == Settings(**chosen)
-    assert chosen_settings({"task": "LiftBox"}) == Settings()
+    assert chosen.items() <= facts.content().items()  # flat on disk
+    assert facts.variation == DataVariation.read(facts.content()) == DataVariation(**chosen)
+    assert GenerationFacts.read(json.loads(json.dumps(facts.content()))) == facts
+    assert DataVariation.read({"task": "LiftBox"}) == PLAIN  # an older run had no such knobs
     GenerationRun.open(tmp_path / "data", "user/name", facts).close()
     for changes in ({"command_noise": 0.0}, {"start_spread": 1.0}, {"stance_spread": 0.0}):
         with pytest.raises(DatasetError, match=next(iter(changes))):
-            GenerationRun.open(tmp_path / "data", "user/name", dataclasses.replace(facts, **changes))
+            GenerationRun.open(tmp_path / "data", "user/name", make_facts(**{**chosen, **changes}))
     words = ["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", str(tmp_path / "wrong")]
     wrong = {"--command-noise": ("-1", "nan"), "--start-spread": ("0.5",), "--stance-spread": ("-1",)}
+    wrong["--retries"] = ("-1",)
     for option in [(name, value) for name, values in wrong.items() for value in values]:
         assert cli.main([*words, *option]) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data.partial"]
+
+
+def test_the_defaults_have_one_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request, settings, the command and the gallery take the same data where nobody says otherwise."""
+    asked: list[GenerationRequest] = []
+    monkeypatch.setattr(runner, "generate", lambda request: asked.append(request))
+    monkeypatch.setattr(runner, "summary_json", lambda _: {})
+    assert cli.main(["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", "data"]) == 0
+    wanted = GenerationRequest(task="LiftBox", region="R3", seed=0, root=Path("data"), num_attempts=1)
+    assert asked == [wanted]
+    assert wanted.variation == Settings().variation == DataVariation()
+    required = {entry.name for entry in dataclasses.fields(GenerationFacts) if entry.default is dataclasses.MISSING}
+    assert required >= {"block_size", "keep_failures", "num_attempts", "num_episodes", "variation"}
 
 
 def test_stances_are_off_by_what_they_may_be_and_the_same_again() -> None:
@@ -190,11 +214,11 @@ def test_the_robot_acts_from_the_stance_that_was_drawn() -> None:
     seen: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     for spread in (0.0, 1.0):
 
-        def watch(attempt: Running, _: np.ndarray, spread: float = spread) -> None:
+        def watch(attempt: Attempt, _: np.ndarray, spread: float = spread) -> None:
             if attempt.playback is not None and attempt.placement is not None:
                 seen.setdefault(spread, (attempt.placement.goal, poses.to_planar(attempt.world.pose("pelvis"))))
 
-        settings = Settings(stance_spread=spread)
+        settings = varied(stance_spread=spread)
         attempts = Attempts(TASK, demonstrations.load(task=TASK), REGION, SEED, settings=settings, on_command=watch)
         attempts.run([0])
         attempts.close()

@@ -17,7 +17,9 @@ import pytest
 from gym_demohlm.errors import DatasetError, UnknownNameError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.datasets.episode import OUTCOMES, Episode
+from gym_demohlm.simulation.judge import OUTCOMES
+from lerobot_demohlm.datasets.episode import Episode
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.generation import runner, stages
@@ -26,6 +28,7 @@ from lerobot_demohlm.generation.locomotion import LocomotionSettings
 from lerobot_demohlm.generation.runner import GenerationRequest, generate
 
 TASK = get_task("LiftBox")
+PLAIN_SETTINGS = stages.Settings(variation=PLAIN)  # commands are executed as they are recorded
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +39,7 @@ def demonstration() -> Demonstration:
 @pytest.fixture(scope="module")
 def episodes(demonstration: Demonstration) -> list[Episode]:
     """Return three attempts made side by side."""
-    attempts = Attempts(TASK, demonstration, "R1", seed=7, num_worlds=3)
+    attempts = Attempts(TASK, demonstration, "R1", seed=7, num_worlds=3, settings=PLAIN_SETTINGS)
     made = attempts.run(range(3))
     attempts.close()
     return made
@@ -84,7 +87,7 @@ def test_attempts_succeed(episodes: list[Episode]) -> None:
 def test_an_attempt_alone_has_the_same_bits_as_in_a_batch(
     demonstration: Demonstration, episodes: list[Episode]
 ) -> None:
-    assert same(attempt(TASK, demonstration, "R1", 7, 1), episodes[1])
+    assert same(attempt(TASK, demonstration, "R1", 7, 1, PLAIN_SETTINGS), episodes[1])
 
 
 def test_recorded_actions_reproduce_the_episode(episodes: list[Episode]) -> None:
@@ -112,7 +115,9 @@ def test_walking_comes_first_and_stops(episodes: list[Episode]) -> None:
 
 def test_a_goal_out_of_reach_is_off_course(demonstration: Demonstration) -> None:
     impatient = LocomotionSettings(max_ticks=10)
-    attempts = Attempts(TASK, demonstration, "R3", 0, settings=stages.Settings(locomotion=impatient))
+    attempts = Attempts(
+        TASK, demonstration, "R3", 0, settings=dataclasses.replace(PLAIN_SETTINGS, locomotion=impatient)
+    )
     episode = attempts.run([0])[0]
     attempts.close()
     assert (episode.outcome, episode.stage) == ("off_course", stages.LOCOMOTION)
@@ -123,7 +128,7 @@ def test_a_target_out_of_reach_is_ik_failed(demonstration: Demonstration) -> Non
     """Hands that are asked to reach a metre past the sides of the box do not get there."""
     targets = demonstration.hand_targets.copy()
     targets[:, :, 1] += [1.0, -1.0]
-    attempts = Attempts(TASK, dataclasses.replace(demonstration, hand_targets=targets), "R1", 0)
+    attempts = Attempts(TASK, dataclasses.replace(demonstration, hand_targets=targets), "R1", 0, 1, PLAIN_SETTINGS)
     episode = attempts.run([0])[0]
     attempts.close()
     assert (episode.outcome, episode.stage) == ("ik_failed", stages.PRE_MANIPULATION)
@@ -133,7 +138,7 @@ def test_hands_that_do_not_squeeze_fail_by_name(demonstration: Demonstration) ->
     """With the palms 10 cm beside the box nothing is lifted, and that is no success."""
     targets = demonstration.hand_targets.copy()
     targets[:, :, 1] += [0.1, -0.1]
-    attempts = Attempts(TASK, dataclasses.replace(demonstration, hand_targets=targets), "R1", 0)
+    attempts = Attempts(TASK, dataclasses.replace(demonstration, hand_targets=targets), "R1", 0, 1, PLAIN_SETTINGS)
     episode = attempts.run([0])[0]
     attempts.close()
     assert episode.outcome == "timeout"

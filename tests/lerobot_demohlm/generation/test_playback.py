@@ -18,7 +18,7 @@ from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.stages import GripSettings, PlaybackSettings, Settings, StageError
-from lerobot_demohlm.generation.world import World
+from lerobot_demohlm.generation.world_view import WorldView
 
 SAG = np.array([0.0, 0.004, -0.015])  # m
 
@@ -67,7 +67,14 @@ class FakeWorld:
 def playback(world: FakeWorld, settings: Settings) -> Playback:
     demonstration = world.demonstration
     task = get_task(demonstration.task)
-    return Playback(cast(World, world), task, demonstration, segment(demonstration), np.eye(4), settings)
+    return Playback(
+        cast(WorldView, world),
+        task,
+        demonstration,
+        segment(demonstration, task),
+        np.eye(4),
+        settings,
+    )
 
 
 @pytest.mark.parametrize(("gain", "least", "most"), [(0.0, 0.014, 0.03), (0.1, 0.0, 0.006)])
@@ -79,7 +86,7 @@ def test_hands_are_led_to_where_they_were_beside_the_object(gain: float, least: 
     still = dataclasses.replace(demonstration, hand_targets=targets, hand_poses=targets)
     world = FakeWorld(still)
     settings = Settings(playback=PlaybackSettings(steering_gain=gain))
-    switch = max(entry.stop for entry in segment(still) if entry.kind == "object")
+    switch = max(entry.stop for entry in segment(still, get_task(still.task)) if entry.kind == "object")
     seen = []
     for _ in playback(world, settings).run():
         seen.append(np.linalg.norm(world.hands()[:, :3, 3] - still.T_world_hands[0, :, :3, 3], axis=-1).max())
@@ -92,7 +99,7 @@ def test_hands_are_led_to_where_they_were_beside_the_object(gain: float, least: 
 def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
     """At a lower table they do not go down first to come up again; they never jump; and they end where they should."""
     demonstration = demonstrations.load(task=get_task("GraspCube"))
-    approach = next(entry for entry in segment(demonstration) if entry.kind == "object")
+    approach = next(entry for entry in segment(demonstration, get_task(demonstration.task)) if entry.kind == "object")
     still = Settings(playback=PlaybackSettings(steering_gain=0.0), grip=GripSettings(settle_ticks=0))
     made = playback(FakeWorld(demonstration, 10.0, raised), still)
     commands = made.run()
@@ -136,7 +143,7 @@ def test_hands_that_follow_the_base_stay_there_while_others_join(both: bool) -> 
         Segment(hand="right", kind="proprioception", start=50, stop=length, object="cube", anchor="body"),
     ]
     world, settings = FakeWorld(demonstration, 10.0), Settings(playback=PlaybackSettings(joining_share=0.0))
-    made = Playback(cast(World, world), get_task("GraspCube"), demonstration, segments, np.eye(4), settings)
+    made = Playback(cast(WorldView, world), get_task("GraspCube"), demonstration, segments, np.eye(4), settings)
     activities = []
     for _ in made.run():
         activities.append(made.activity)

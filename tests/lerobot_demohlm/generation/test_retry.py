@@ -9,6 +9,7 @@ from gym_demohlm.control import command
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation, StepResult
 from lerobot_demohlm.datasets.episode import Episode
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation import attempt, stages
 from lerobot_demohlm.generation.attempt import Attempts
@@ -17,6 +18,11 @@ from lerobot_demohlm.generation.stages import Settings
 
 TASK = get_task("GraspCube")
 RIGHT = command.GRIPPERS.start + 1
+
+
+def tries(retries: int) -> Settings:
+    """Return settings whose attempts carry no noise and may begin again."""
+    return Settings(variation=dataclasses.replace(PLAIN, retries=retries))
 
 
 class Jammed(Simulation):
@@ -38,7 +44,7 @@ class Jammed(Simulation):
 
 def jammed(monkeypatch: pytest.MonkeyPatch, retries: int) -> Episode:
     monkeypatch.setattr(attempt, "Simulation", Jammed)
-    attempts = Attempts(TASK, demonstrations.load(task=TASK), "R1", 0, settings=Settings(retries=retries))
+    attempts = Attempts(TASK, demonstrations.load(task=TASK), "R1", 0, settings=tries(retries))
     (episode,) = attempts.run([0])
     attempts.close()
     return episode
@@ -63,7 +69,7 @@ def test_a_missed_grip_is_tried_again_and_counted(monkeypatch: pytest.MonkeyPatc
 
 
 def test_each_try_that_walks_past_its_goal_counts() -> None:
-    impatient = Settings(retries=2, locomotion=LocomotionSettings(max_ticks=5))
+    impatient = dataclasses.replace(tries(2), locomotion=LocomotionSettings(max_ticks=5))
     attempts = Attempts(TASK, demonstrations.load(task=TASK), "R3", 0, settings=impatient)
     (episode,) = attempts.run([0])
     attempts.close()
@@ -75,7 +81,7 @@ def test_hands_that_cannot_reach_are_taken_back_the_way_they_came() -> None:
     targets = demonstration.hand_targets.copy()
     targets[:, 1, 2] += 1.0
     unreachable = dataclasses.replace(demonstration, hand_targets=targets)
-    attempts = Attempts(TASK, unreachable, "R1", 0, settings=Settings(retries=1))
+    attempts = Attempts(TASK, unreachable, "R1", 0, settings=tries(1))
     (episode,) = attempts.run([0])
     attempts.close()
     assert (episode.outcome, episode.stage, episode.retries) == ("ik_failed", stages.PRE_MANIPULATION, 1)

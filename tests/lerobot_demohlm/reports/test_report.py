@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm import cli, quickstart
-from lerobot_demohlm.datasets.episode import OUTCOMES
 from lerobot_demohlm.policies import training
 from lerobot_demohlm.reports.report import Film, film_strip, render_report, write_video
 

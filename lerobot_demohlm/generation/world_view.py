@@ -12,7 +12,7 @@ from gym_demohlm.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class WorldView:
     """A view of one world; everything it returns is a copy.
 
     Attributes:

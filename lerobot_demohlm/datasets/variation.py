@@ -1,0 +1,59 @@
+"""How a generation run varies its data: one value for each knob, checked, and the same names on disk."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from gym_demohlm.errors import DatasetError
+
+
+def _knob(default: float, *, plain: float) -> Any:  # noqa: ANN401
+    """Return a field whose least value is ``plain``, at which it changes nothing; older runs, without it, had that."""
+    return field(default=default, metadata={"plain": plain})
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataVariation:
+    """How attempts differ from plain ones, which walk to the demonstrated place and execute every command as planned.
+
+    The defaults are those of ``demohlm generate``. Facts and results keep the knobs flat, by the names of the fields.
+
+    Attributes:
+        retries: Most times that an attempt may begin again after it has missed its walk's goal, its reach or its grip;
+            each try has the task's whole time limit.
+        command_noise: Scale of the noise that commands carry when they are executed; datasets record them without it.
+        start_spread: Factor by which the region's ranges of the robot's pose are widened.
+        stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.
+
+    Raises:
+        DatasetError: A knob is below its plain value, not finite, or not whole where it counts something.
+    """
+
+    retries: int = _knob(0, plain=0)
+    command_noise: float = _knob(1.0, plain=0.0)
+    start_spread: float = _knob(1.0, plain=1.0)
+    stance_spread: float = _knob(0.0, plain=0.0)
+
+    def __post_init__(self) -> None:
+        """Check the knobs."""
+        for knob in fields(self):
+            value, plain = getattr(self, knob.name), knob.metadata["plain"]
+            if not plain <= value < math.inf or (isinstance(plain, int) and value != int(value)):
+                kind = "a whole number of " if isinstance(plain, int) else ""
+                raise DatasetError(
+                    f"{knob.name}={value}", f"{kind}{plain:g} or more", f"correct --{knob.name.replace('_', '-')}"
+                )
+
+    @classmethod
+    def read(cls, facts: Mapping[str, Any]) -> "DataVariation":
+        """Return the variation that facts or a line of results hold; a knob that they lack was not there: plain."""
+        return cls(**{knob.name: facts.get(knob.name, knob.metadata["plain"]) for knob in fields(cls)})
+
+    def content(self) -> dict[str, Any]:
+        """Return the knobs as facts and results keep them."""
+        return asdict(self)
+
+
+PLAIN = DataVariation.read({})
+"""Nothing varied: one try, no noise, the region's own starts, the demonstrated stance. Tables count such attempts."""

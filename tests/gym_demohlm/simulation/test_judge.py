@@ -1,0 +1,111 @@
+"""The judge of attempts and rollouts: what counts, for how long, and what an episode comes to."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.envs.episode import RunningEpisodes
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation, StepResult
+from gym_demohlm.simulation.judge import COLLISION_N, COLLISION_STEPS, Judge, held, outcome
+from gym_demohlm.timing import HOLD_STEPS, TICKS
+from tests.helpers.hold import HoldController
+
+TASK = get_task("LiftBox")
+EVERY = np.ones(2, dtype=bool)
+
+
+def pressing(*forces_n: float) -> StepResult:
+    """Return a step in which robots press on an obstacle, each with its force in one of the ticks."""
+    collisions = np.zeros((len(forces_n), TICKS))
+    collisions[:, 2] = forces_n
+    return StepResult(
+        commands=np.zeros((len(forces_n), command.SIZE)),
+        num_clipped=np.zeros(len(forces_n), dtype=int),
+        contact_forces=np.zeros((len(forces_n), TICKS, 2)),
+        collision_forces=collisions,
+        unstable=np.zeros(len(forces_n), dtype=bool),
+    )
+
+
+@pytest.fixture
+def judge() -> Judge:
+    return Judge(Simulation(TASK, 2, controller=HoldController(2)))
+
+
+def test_a_push_collides_once_it_has_lasted(judge: Judge) -> None:
+    for _ in range(COLLISION_STEPS - 1):
+        judge.watch(pressing(COLLISION_N + 1, COLLISION_N - 1), EVERY)
+    assert not judge.collided.any()
+    judge.watch(pressing(0.0, 0.0), EVERY)  # it lets go, and begins anew
+    for step in range(COLLISION_STEPS):
+        assert not judge.collided.any(), step
+        judge.watch(pressing(COLLISION_N + 1, COLLISION_N - 1), EVERY)
+    assert judge.collided.tolist() == [True, False]
+    judge.watch(pressing(0.0, 0.0), EVERY)
+    assert judge.faults()["collided"].tolist() == [True, False]  # it is not forgotten
+    judge.reset(np.array([0]))
+    assert not judge.collided.any()
+
+
+def test_worlds_that_are_not_stepped_stay_as_they_were(judge: Judge) -> None:
+    only_first = np.array([True, False])
+    for _ in range(COLLISION_STEPS):
+        judge.watch(pressing(100.0, 100.0), only_first)
+    assert judge.collided.tolist() == [True, False]
+
+
+def test_success_must_hold_for_a_second() -> None:
+    holds = np.array([True, True])
+    sim = Simulation(dataclasses.replace(TASK, success=lambda _: holds.copy()), 2, controller=HoldController(2))
+    judge = Judge(sim)
+    judge.reset(np.arange(2))
+    assert judge.success_ever.all()
+    history = []
+    for step in range(HOLD_STEPS + 4):
+        holds[1] = step != 3
+        judge.watch(pressing(0.0, 0.0), EVERY)
+        history.append(judge.success_held)
+    assert next(step for step, (first, _) in enumerate(history) if first) == HOLD_STEPS - 1
+    assert next(step for step, (_, second) in enumerate(history) if second) == HOLD_STEPS + 3
+    assert held([False] + [True] * HOLD_STEPS) and not held([True] * (HOLD_STEPS - 1))
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        ({}, "timeout"),
+        ({"fell": False, "collided": True, "dropped": True}, "collided"),
+        ({"fell": True, "collided": True}, "fell"),
+        ({"fell": False, "collided": False, "spilled": True}, "dropped"),
+    ],
+)
+def test_an_outcome_is_the_worst_fault(faults: dict[str, bool], expected: str) -> None:
+    assert outcome(False, faults) == expected
+    assert outcome(True, faults) == "success"
+
+
+def test_a_failure_named_like_a_fault_does_not_hide_it() -> None:
+    task = dataclasses.replace(TASK, failures={"collided": lambda sim: np.zeros(sim.num_worlds, dtype=bool)})
+    judge = Judge(Simulation(task, 2, controller=HoldController(2)))
+    for _ in range(COLLISION_STEPS):
+        judge.watch(pressing(100.0, 0.0), EVERY)
+    assert judge.faults()["collided"].tolist() == [True, False]
+
+
+def test_a_touch_of_the_table_is_no_collision_in_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The collision sensors are made to read what a robot that leans on the table would press with."""
+    episodes = RunningEpisodes(TASK, controller=HoldController(1))
+    original = episodes.sim.step
+    for force_n, expected in ((30.0, False), (COLLISION_N + 1, True)):
+
+        def step(commands: np.ndarray, active: np.ndarray, force_n: float = force_n) -> StepResult:
+            return dataclasses.replace(original(commands, active), collision_forces=np.full((1, TICKS), force_n))
+
+        monkeypatch.setattr(episodes.sim, "step", step)
+        episodes.reset([TASK.default_state()])
+        collided = [bool(episodes.step(command.rest()[None]).info["collided"][0]) for _ in range(COLLISION_STEPS)]
+        assert collided == [False] * (COLLISION_STEPS - 1) + [expected]
+    episodes.close()
