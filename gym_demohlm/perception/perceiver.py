@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.envs.observation import nearest_equivalent
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.perception import camera, d435, masks
+from gym_demohlm.perception.equivalents import nearest_equivalent, steady_equivalent
 from gym_demohlm.perception.meshes import TRANSPARENT, ObjectMesh, object_meshes
 from gym_demohlm.perception.tracker import Tracker
 from gym_demohlm.perception.visual_model import Frame, VisualModel
@@ -25,7 +25,6 @@ from gym_demohlm.timing import STEP_DT
 
 PERCEPTION_STREAM = 7  # first number of a seed sequence, so that its draws are no other stream's
 SOURCES = ("exact", "rgbd")
-_HYSTERESIS = math.radians(20.0)  # by which an equivalent orientation must be nearer before it is taken
 _NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
 _MARGIN = 60.0  # px around an object in which it is looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
@@ -357,32 +356,3 @@ class RgbdPerceiver:
             return None
         heading = math.atan2(T_odom_optical[1, 2], T_odom_optical[0, 2])
         return poses.planar(0.0, 0.0, heading + entry.yaw)[:3, :3]
-
-
-def steady_equivalent(
-    T_odom_object: np.ndarray, entry: ObjectSpec, T_odom_camera: np.ndarray, last: np.ndarray | None
-) -> np.ndarray:
-    """Return the pose (4, 4), among those that look the same, to be told: the nearest to the camera's heading.
-
-    The last one's equivalent stays until another is nearer by 20 degrees, so that noise at the border between two of
-    them does not turn the object to and fro.
-
-    Args:
-        T_odom_object: (4, 4).
-        entry: Says which turns look the same.
-        T_odom_camera: (4, 4), x forward.
-        last: (4, 4) what was told last; None at first.
-    """
-    best = nearest_equivalent(T_odom_object[None], entry, T_odom_camera[None])[0]
-    if last is None or entry.symmetry == "any" or entry.symmetry == (0.0,):
-        return best
-    same = [T_odom_object @ poses.planar(0.0, 0.0, turn) for turn in entry.symmetry]
-    kept = max(same, key=lambda T: float((T[:3, :3] * last[:3, :3]).sum()))
-    return best if _off_heading(kept, T_odom_camera) > _off_heading(best, T_odom_camera) + _HYSTERESIS else kept
-
-
-def _off_heading(T: np.ndarray, T_odom_camera: np.ndarray) -> float:
-    """Return the angle [rad] between an object's x axis and the camera's heading, seen from above."""
-    x, y = T[0, 0], T[1, 0]
-    forward = T_odom_camera[:2, 0]
-    return abs(math.atan2(x * forward[1] - y * forward[0], x * forward[0] + y * forward[1]))

@@ -1,12 +1,14 @@
 """Perceivers: exact ones have today's bits, seeing ones are near the truth, and nothing flips."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import UnknownNameError
-from gym_demohlm.perception.perceiver import RgbdPerceiver, RgbdSettings, make_perceiver, steady_equivalent
+from gym_demohlm.perception.equivalents import steady_equivalent
+from gym_demohlm.perception.perceiver import RgbdPerceiver, RgbdSettings, make_perceiver
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 
@@ -71,3 +73,23 @@ def test_a_symmetric_object_does_not_flip_while_its_border_trembles() -> None:
     assert np.abs(np.diff(told)).max() < np.radians(40.0)
     turned = steady_equivalent(poses.planar(0.5, 0.0, np.radians(70.0)), entry, camera, poses.planar(0.5, 0, 0.8))
     assert abs(np.degrees(poses.yaw(turned))) < 45.0  # it does where the object has really turned
+
+
+def test_an_environment_observes_and_looks_by_what_it_sees() -> None:
+    seen, exact = (gym.make("DemoHLM/GraspCube-v0", perception=source).unwrapped for source in ("rgbd", "exact"))
+    told = []
+    for env in (seen, exact):
+        first, _ = env.reset(seed=3, options={"region": "R1"})
+        sim = env.get_wrapper_attr("sim")
+        last = [env.step(sim.command[0].astype(np.float32))[0] for _ in range(4)][-1]
+        told.append((first["environment_state"], last["environment_state"], sim.neck_positions))
+    for observed, true in zip(*told, strict=True):
+        assert 0.0 < np.abs(observed - true).max() < 0.2  # another one, but not far off; the neck's angles, too
+    assert exact.get_wrapper_attr("sim").p_camera_gaze is None
+    seen.close()
+    exact.close()
+
+
+def test_an_environment_with_an_unknown_perception_is_an_error() -> None:
+    with pytest.raises(UnknownNameError, match="perception"):
+        gym.make("DemoHLM/GraspCube-v0", perception="eyes")
