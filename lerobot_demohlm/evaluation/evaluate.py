@@ -31,8 +31,8 @@ def evaluate(
 ) -> list[Rollout]:
     """Roll out and append one JSON line an episode to a file; a call that was killed is resumed by the same call.
 
-    A batch is made again whole where one of its lines is missing, so that a policy that draws random numbers gives the
-    lines that it would have given undisturbed.
+    A batch with a missing line is rolled out anew as a whole, so a policy that draws random numbers gives the lines
+    that it would have given without the interruption.
 
     Args:
         loaded: The policy.

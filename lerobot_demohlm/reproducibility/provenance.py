@@ -59,7 +59,7 @@ def processor_flags() -> frozenset[str]:
 
 @functools.cache
 def cpu_family() -> str:
-    """Return what of the processor decides bits: its architecture, and whether it has fused multiply-add (FMA).
+    """Return the kind of processor, which decides bits: its architecture, and whether it has fused multiply-add (FMA).
 
     The maker and wider vector units decide nothing: ``gym_demohlm.arithmetic`` does not depend on them.
     """
