@@ -73,13 +73,12 @@ def solve(ankles: Vectors, sole_yaw: np.ndarray, tilt: np.ndarray, bank: np.ndar
         ankles: (N, 2) components each, ankles from the pelvis origin in the heading frame of the pelvis, left and
             right [m].
         sole_yaw: (N, 2) yaw of the level soles in the heading frame [rad].
-        tilt: (N,) pitch of the pelvis, R_heading_pelvis = Ry(tilt) Rx(bank) [rad].
-        bank: (N,) roll of the pelvis.
+        tilt: (N, 1) pitch of the pelvis, R_heading_pelvis = Ry(tilt) Rx(bank) [rad]; (N, 2) for one of each leg.
+        bank: (N, 1) or (N, 2) roll of the pelvis.
 
     Returns:
         (N, 2, 6) joints [rad].
     """
-    tilt, bank = tilt[:, None], bank[:, None]
     zero = np.zeros_like(sole_yaw)
 
     def in_heading(v: Vectors) -> Vectors:

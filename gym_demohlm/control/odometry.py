@@ -3,6 +3,8 @@
 Leg odometry: the lower foot is taken to be planted, so the pelvis moves opposite to it. Only signals of a real G1.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from gym_demohlm.arithmetic import arccos, arctan2
@@ -12,6 +14,22 @@ _Vector = tuple[np.ndarray, np.ndarray, np.ndarray]
 _FILTER = 0.4  # share of the new value in each tick's average: a time constant of about 40 ms
 _HEIGHT_BLEND = 0.03  # m: soles this far apart in height count as one planted foot, nearer ones as a mixture
 _EPSILON = 1e-4  # s: step of the derivative along the joint velocities
+
+
+class Estimate(NamedTuple):
+    """What leg odometry finds.
+
+    Attributes:
+        velocity: (N, 2) of the pelvis in its heading frame [m/s].
+        sole_tilt: (N,) how far the planted sole is tipped over [rad].
+        height: (N,) of the pelvis above it [m].
+        over_soles: (N, 2) of the pelvis from the middle between both soles, in its heading frame [m].
+    """
+
+    velocity: np.ndarray
+    sole_tilt: np.ndarray
+    height: np.ndarray
+    over_soles: np.ndarray
 
 
 def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
@@ -68,9 +86,7 @@ def sole_points(legs: np.ndarray, offset: np.ndarray = _SOLE) -> np.ndarray:
     return np.stack([x, y, z], axis=-1)
 
 
-def estimate(
-    down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def estimate(down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np.ndarray) -> Estimate:
     """Estimate the pelvis velocity and height, and how far the planted sole is tipped over.
 
     Args:
@@ -78,10 +94,6 @@ def estimate(
         gyro: (N, 3) angular velocity in the pelvis frame [rad/s].
         legs: (N, 12) positions of ``g1.LEG_JOINTS`` [rad].
         leg_rates: (N, 12) their velocities [rad/s].
-
-    Returns:
-        Horizontal velocity in the heading frame (N, 2) [m/s], tilt of the planted sole (N,) [rad], and height of the
-        pelvis above it (N,) [m].
     """
     soles, later, above = sole_points(np.stack([legs, legs + _EPSILON * leg_rates, legs]), _POINTS)  # (N, 2, 3) each
     normals = above - soles
@@ -96,7 +108,8 @@ def estimate(
     velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
     upright = (normals * up[:, None]).sum(axis=2)
     tilt = arccos(np.clip((weights[..., 0] * upright).sum(axis=1), -1.0, 1.0))
-    return velocity, tilt, -(weights[..., 0] * height).sum(axis=1)
+    over_soles = -(heading * soles.mean(axis=1)[:, None]).sum(axis=2)
+    return Estimate(velocity, tilt, -(weights[..., 0] * height).sum(axis=1), over_soles)
 
 
 def smooth(average: np.ndarray, velocity: np.ndarray) -> np.ndarray:

@@ -6,45 +6,25 @@ its commanded roll and pitch exactly. Walking: a clocked gait with foot placemen
 the velocity that leg odometry finds (Raibert). Open loop it falls within seconds; it is a starting point.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from gym_demohlm.arithmetic import arcsin, arctan
 from gym_demohlm.control import attitude, features, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
+from gym_demohlm.control.settings import Gait, Settings
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
 NUM_LOWER = len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS)  # the joints that the policy drives
 
 
-@dataclass(frozen=True, kw_only=True)
-class Gait:
-    """The walking reference.
-
-    Attributes:
-        period_s: Time of two steps [s].
-        swing: Part of the period in which a foot is in the air; the right foot swings half a period after the left.
-        lift: Height of the sole at mid-swing [m].
-        sway: Amplitude of the lateral sway of the pelvis [m].
-        widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
-        placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
-    """
-
-    period_s: float = 0.64
-    swing: float = 0.4
-    lift: float = 0.06
-    sway: float = 0.025
-    widen: float = 0.06
-    placement_s: float = 0.12
-
-
 GAIT = Gait()
-# The clock rests just before a swing, where both feet are on the floor.
-REST_PHASES = (0.5 * (0.5 + GAIT.swing), 0.5 + 0.5 * (0.5 + GAIT.swing))
+REST_PHASES = GAIT.rest_phases
 WALK_THRESHOLD = np.array([0.04, 0.04, 0.08])  # m/s, m/s, rad/s: slower commands mean "stand"
-SLEW = np.array([1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5])  # fastest change of the command's first seven numbers, per second
+SLEW = Settings().slew
 WALK_HEIGHT = 0.60  # m: lowest while stepping
 WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
 WALK_YAW = 0.3  # rad: most turned while stepping
@@ -71,7 +51,29 @@ _ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("kn
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 _WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
-_BOTH_DOWN = 0.5 - GAIT.swing  # part of the period from a foot's touch-down to the other's lift-off
+_WIDENS = 0.25  # gait periods after the command stops in which the feet walk apart
+_LARGEST_TILT = 0.3  # rad, unplanned, that legs make up for
+_HIP_YAWS = [g1.LEG_JOINTS.index(f"{side}_hip_yaw") for side in g1.SIDES]
+_SOLE_MIDDLE = 0.035  # m, of a sole, ahead of its ankle
+
+
+class Clock(NamedTuple):
+    """A gait clock.
+
+    Attributes:
+        phase: (N,) in [0, 1).
+        stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
+        standing: (N,) bool, whether the clock rests.
+    """
+
+    phase: np.ndarray
+    stopped: np.ndarray
+    standing: np.ndarray
+
+
+def at_rest(count: int) -> Clock:
+    """Return the clocks of robots that have stood still for long."""
+    return Clock(np.full(count, REST_PHASES[0]), np.full(count, 2.0), np.ones(count, dtype=bool))
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
@@ -151,9 +153,9 @@ def action_scale(standing: np.ndarray, torso: np.ndarray) -> np.ndarray:
     return np.where(_TURNS, turns[:, None] * features.ACTION_SCALE, features.ACTION_SCALE)
 
 
-def slew(current: np.ndarray, goal: np.ndarray) -> np.ndarray:
+def slew(current: np.ndarray, goal: np.ndarray, rates: Sequence[float] = SLEW) -> np.ndarray:
     """Move the first seven numbers of a command towards their goal at a bounded rate, (N, 7) -> (N, 7)."""
-    step = SLEW * CONTROL_DT
+    step = np.array(rates) * CONTROL_DT
     return current + np.clip(goal - current, -step, step)
 
 
@@ -162,9 +164,27 @@ def startled(velocity: np.ndarray, sole_tilt: np.ndarray) -> np.ndarray:
     return (np.abs(velocity) > STARTLE_SPEED).any(axis=1) | (sole_tilt > STARTLE_TILT)
 
 
+def escapes(capture: np.ndarray, margins: tuple[float, float, float], sole_tilt: np.ndarray) -> np.ndarray:
+    """Return who must step to keep upright, (N,) bool.
+
+    Args:
+        capture: (N, 2) from ``Reference.capture`` [m].
+        margins: How far it may be ahead, behind and beside [m].
+        sole_tilt: (N,) [rad].
+    """
+    ahead, aside = np.ascontiguousarray(capture.T)
+    out = (ahead > margins[0]) | (ahead < -margins[1]) | (np.abs(aside) > margins[2])
+    return out | (sole_tilt > STARTLE_TILT)
+
+
 def advance_clock(
-    phase: np.ndarray, stopped: np.ndarray, standing: np.ndarray, velocity: np.ndarray, startled: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    phase: np.ndarray,
+    stopped: np.ndarray,
+    standing: np.ndarray,
+    velocity: np.ndarray,
+    startled: np.ndarray,
+    gait: Gait = GAIT,
+) -> Clock:
     """Advance the gait clock by one control tick.
 
     Args:
@@ -173,18 +193,19 @@ def advance_clock(
         standing: (N,) bool, whether the clock rests.
         velocity: (N, 3) commanded velocity.
         startled: (N,) bool, who loses balance.
+        gait: Whose clock it is.
 
     Returns:
-        The new phase, stopped and standing.
+        The clock now.
     """
-    tick = CONTROL_DT / GAIT.period_s
+    tick = CONTROL_DT / gait.period_s
     walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1) | startled
     stopped = np.where(walk, 0.0, np.minimum(stopped + tick, 10.0))
     moved = (phase + tick) % 1.0
-    both_down = (moved % 0.5) >= GAIT.swing
+    both_down = (moved % 0.5) >= gait.swing
     stands = ~walk & (standing | ((stopped >= STEPS_TO_SQUARE_UP) & both_down))
-    rest = np.where(standing, phase, np.where(moved < 0.5, REST_PHASES[0], REST_PHASES[1]))
-    return np.where(stands, rest, moved), stopped, stands
+    rest = np.where(standing, phase, np.where(moved < 0.5, gait.rest_phases[0], gait.rest_phases[1]))
+    return Clock(np.where(stands, rest, moved), stopped, stands)
 
 
 def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
@@ -196,11 +217,27 @@ def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     return index, min(max(place - index, 0.0), 1.0), a_unit if inside else 0.0
 
 
-def swing_state(phase: np.ndarray, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def swing_state(phase: np.ndarray, standing: np.ndarray, gait: Gait = GAIT) -> tuple[np.ndarray, np.ndarray]:
     """Return which feet should be in the air (N, 2) bool and how high their soles should be (N, 2) [m]; left, right."""
     own = (phase[:, None] + np.array([0.0, 0.5])) % 1.0
-    swing = (own < GAIT.swing) & ~standing[:, None]
-    return swing, np.where(swing, GAIT.lift * np.sin(np.pi * own / GAIT.swing) ** 2, 0.0)
+    swing = (own < gait.swing) & ~standing[:, None]
+    return swing, np.where(swing, gait.lift * np.sin(np.pi * own / gait.swing) ** 2, 0.0)
+
+
+class Footing(NamedTuple):
+    """How a robot at rest stands.
+
+    Attributes:
+        ahead: (N,) ankles ahead of the pelvis, in its heading frame [m].
+        aside: (N,) the middle between them to its left [m].
+        tilt: (N,) pitch of the pelvis [rad].
+        bank: (N,) its roll [rad].
+    """
+
+    ahead: np.ndarray
+    aside: np.ndarray
+    tilt: np.ndarray
+    bank: np.ndarray
 
 
 class Reference:
@@ -210,9 +247,11 @@ class Reference:
         posture_table: (len(TABLE_HEIGHTS), len(TABLE_PITCHES), 5) how far [m] the ankles stand ahead of the hips, the
             pitch of the pelvis [rad], and how far hip pitch, knee and ankle pitch give [rad].
         arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
+        gait: How it walks.
     """
 
-    def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray) -> None:
+    def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray, gait: Gait = GAIT) -> None:
+        self.gait = gait
         self.posture_table = np.array(posture_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
         shift, tilt = self.posture_table[..., 0], self.posture_table[..., 1]
@@ -269,72 +308,116 @@ class Reference:
     def __call__(
         self,
         command: np.ndarray,
-        phase: np.ndarray,
-        standing: np.ndarray,
+        clock: Clock,
         velocity: np.ndarray,
         arms: np.ndarray,
         carried: np.ndarray,
+        attitude_now: np.ndarray,
     ) -> np.ndarray:
         """Return the joint targets of legs and waist, ``pose`` and ``sag``, (N, 15) [rad].
 
         Args:
             command: As in ``pose``.
-            phase: As in ``pose``.
-            standing: As in ``pose``.
+            clock: As in ``pose``.
             velocity: As in ``pose``.
             arms: (N, 8) the arms' joint targets but the wrists' [rad].
             carried: (N, 2) in the left and the right hand [kg].
+            attitude_now: As in ``pose``.
         """
         moment = self.arms_moment(command, arms, carried)
-        return self.pose(command, phase, standing, velocity, moment) + self.sag(command, phase, standing, moment)
+        sag = self.sag(command, clock.phase, clock.standing, moment)
+        return self.pose(command, clock, velocity, moment, attitude_now) + sag
 
-    def pose(
-        self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, velocity: np.ndarray, moment: np.ndarray
-    ) -> np.ndarray:
-        """Return the joint positions of legs and waist.
-
-        Args:
-            command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
-            phase: (N,) gait clock.
-            standing: (N,) bool.
-            velocity: (N, 2) of the pelvis in the heading frame, from the odometry [m/s].
-            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
-
-        Returns:
-            (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
-        """
+    def footing(self, command: np.ndarray, moment: np.ndarray) -> Footing:
+        """Return where the feet of a robot at rest should be, and how its pelvis leans; arguments as in ``pose``."""
         # Columns in one piece: NumPy may round a sine of a strided part otherwise.
-        vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
+        height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
         forward, right = attitude.lean(roll, pitch, yaw)
         shift, tilt, _ = self.statics(height, forward)
         tilt, bank = attitude.pelvis_attitude(forward, right, tilt)
         offset = moment / g1.MASS
         shift = shift + np.cos(yaw) * offset[:, 0] - np.sin(yaw) * offset[:, 1]
         aside = np.sin(yaw) * offset[:, 0] + np.cos(yaw) * offset[:, 1] - LATERAL_SHIFT * np.sin(right)
+        return Footing(shift - g1.HIP_DROP * np.sin(tilt), aside, tilt, bank)
+
+    def pose(
+        self,
+        command: np.ndarray,
+        clock: Clock,
+        velocity: np.ndarray,
+        moment: np.ndarray,
+        attitude_now: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the joint positions of legs and waist.
+
+        Args:
+            command: (N, 7 or more) velocity, torso height, roll, pitch, yaw.
+            clock: Of the gait.
+            velocity: (N, 2) of the pelvis in the heading frame, from the odometry [m/s].
+            moment: (N, 2) of the arms, from ``arms_moment`` [kg m].
+            attitude_now: (N, 4) pitch and roll of the pelvis [rad] and their rates [rad/s]; as planned by default.
+
+        Returns:
+            (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
+        """
+        gait, (phase, stopped, standing) = self.gait, clock
+        vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
+        ahead, aside, tilt, bank = self.footing(command, moment)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
-        half_stride = 0.5 * (1 - GAIT.swing) * GAIT.period_s  # s: from mid-stance to lift-off
-        sway = np.where(walking, GAIT.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
-        extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * GAIT.placement_s
+        half_stride = 0.5 * (1 - gait.swing) * gait.period_s  # s: from mid-stance to lift-off
+        sway = np.where(walking, gait.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
+        extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * gait.placement_s
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
-        u = np.clip(own / GAIT.swing, 0, 1)
-        v = (own - GAIT.swing) / (1 - GAIT.swing)
+        u = np.clip(own / gait.swing, 0, 1)
+        v = (own - gait.swing) / (1 - gait.swing)
         eased, walks = u * u * (3 - 2 * u), walking[:, None]
-        swings = own < GAIT.swing
+        swings = own < gait.swing
         progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
         reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
-        lift = np.where(swings & walks, GAIT.lift * np.sin(np.pi * u) ** 2, 0.0)
-        out = g1.HIP_SPREAD + np.where(walking, GAIT.widen * np.abs(vy), 0.0)
+        lift = np.where(swings & walks, gait.lift * np.sin(np.pi * u) ** 2, 0.0)
+        apart = gait.spread + (g1.HIP_SPREAD - gait.spread) * np.minimum(stopped / _WIDENS, 1.0)
+        out = np.where(walking, apart, g1.HIP_SPREAD) + np.where(walking, gait.widen * np.abs(vy), 0.0)
         ankles = leg_ik.Vectors(
-            vx[:, None] * progress + extra[:, :1] * reach + (shift - g1.HIP_DROP * np.sin(tilt))[:, None],
+            vx[:, None] * progress + extra[:, :1] * reach + ahead[:, None],
             vy[:, None] * progress + extra[:, 1:] * reach + (sway + aside)[:, None] + out[:, None] * _SIDES,
             lift - height[:, None] + g1.SOLE_DROP,
         )
-        legs = leg_ik.solve(ankles, yaw_rate[:, None] * progress, tilt, bank)
+        tilts, banks = tilt[:, None], bank[:, None]
+        unplanned = _unplanned(attitude_now, tilt, bank)
+        if gait.swing_upright:
+            share = gait.swing_upright * np.where(walks, np.where(swings, eased, np.maximum(1 - 4 * v, 0.0)), 0.0)
+            tilts, banks = tilts + share * unplanned[:, :1], banks + share * unplanned[:, 1:2]
+        legs = leg_ik.solve(ankles, yaw_rate[:, None] * progress, tilts, banks)
+        if gait.ankle_upright or gait.ankle_damping_s:
+            against = gait.ankle_upright * unplanned[:, :2] + gait.ankle_damping_s * unplanned[:, 2:]
+            legs[..., 4:] += np.where(swings & walks, 0.0, 1.0)[..., None] * against[:, None]
         targets[:, :12] = legs.reshape(len(command), 12)
+        if any(gait.turn):
+            targets[:, _HIP_YAWS] += np.where(walking, _turn(gait.turn, phase, vx, vy, yaw_rate), 0.0)[:, None]
         targets[:, 12] = yaw
         targets[:, 13], targets[:, 14] = attitude.waist_angles(roll, pitch, yaw, tilt, bank)
         return targets
+
+    def capture(
+        self, command: np.ndarray, moment: np.ndarray, over_soles: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
+        """Return where a robot at rest would come to a stop, from where its weight should be.
+
+        The capture point of the linear inverted pendulum; the weight is as far from where it should be as the pelvis.
+
+        Args:
+            command: As in ``pose``.
+            moment: As in ``pose``.
+            over_soles: (N, 2) pelvis from the middle of the soles, in the heading frame [m].
+            velocity: (N, 2) of the pelvis in the heading frame [m/s].
+
+        Returns:
+            (N, 2) ahead and to the left [m].
+        """
+        footing = self.footing(command, moment)
+        planned = np.stack([-footing.ahead - _SOLE_MIDDLE, -footing.aside], axis=1)
+        return over_soles - planned + velocity * np.sqrt(command[:, 3:4] / GRAVITY)
 
     def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return how much further to aim because joints of finite stiffness give under the robot's weight.
@@ -353,7 +436,7 @@ class Reference:
         ahead, aside = GRAVITY * moment.T  # Nm
         legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
-        alone = np.minimum(np.minimum(own - GAIT.swing, 1 - own) / _BOTH_DOWN, 1.0)
+        alone = np.minimum(np.minimum(own - self.gait.swing, 1 - own) / (0.5 - self.gait.swing), 1.0)
         bears = np.where(standing[:, None], 1.0, 2 * np.maximum(alone, 0.0))
         further = np.zeros((len(command), NUM_LOWER))
         sides = further[:, :12].reshape(-1, 2, 6)
@@ -363,3 +446,25 @@ class Reference:
         load_ahead = TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)
         further[:, 14] = -(ahead + load_ahead) / _WAIST_STIFFNESS
         return further
+
+
+def _unplanned(attitude_now: np.ndarray | None, tilt: np.ndarray, bank: np.ndarray) -> np.ndarray:
+    """Return how pitch and roll of a pelvis (N, 4) differ from those planned, bounded, and their rates, (N, 4)."""
+    if attitude_now is None:
+        return np.zeros((len(tilt), 4))
+    off = np.clip(attitude_now[:, :2] - np.stack([tilt, bank], axis=1), -_LARGEST_TILT, _LARGEST_TILT)
+    return np.concatenate([off, np.clip(attitude_now[:, 2:], -3.0, 3.0)], axis=1)
+
+
+def _turn(
+    coefficients: Sequence[float], phase: np.ndarray, vx: np.ndarray, vy: np.ndarray, yaw_rate: np.ndarray
+) -> np.ndarray:
+    """Return what hip yaws add (N,) [rad]; see ``Gait.turn``."""
+    angle = 2 * np.pi * phase
+    (c1, s1), (c2, s2), (c3, s3) = ((np.cos(n * angle), np.sin(n * angle)) for n in (1, 2, 3))
+    odd, even = (c1, s1, c3, s3), (c2, s2)
+    terms = [*odd, *(vx * wave for wave in odd), *(vy * wave for wave in even), *(yaw_rate * wave for wave in even)]
+    total = np.zeros_like(phase)
+    for coefficient, term in zip(coefficients, terms, strict=True):
+        total = total + coefficient * term
+    return total

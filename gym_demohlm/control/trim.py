@@ -7,14 +7,13 @@ slow: a torso that something holds back pushes little harder with time, and whoe
 
 import numpy as np
 
+from gym_demohlm.control.settings import Trim
 from gym_demohlm.timing import CONTROL_DT
 
-RATE = 0.7  # 1/s: error that is corrected in a second, as a share of what there is of it
-FADE = 2.0  # 1/s: correction that is lost in a second where there is nothing to learn, likewise
-LIMITS = np.array([0.25, 0.04, 0.08, 0.08, 0.08])  # rad/s, m, rad: yaw rate; torso height, roll, pitch, yaw
 
-
-def advance(trim: np.ndarray, told: np.ndarray, measured: np.ndarray, constant: np.ndarray) -> np.ndarray:
+def advance(
+    trim: np.ndarray, told: np.ndarray, measured: np.ndarray, constant: np.ndarray, settings: Trim
+) -> np.ndarray:
     """Return the correction after one more control tick.
 
     Args:
@@ -22,9 +21,11 @@ def advance(trim: np.ndarray, told: np.ndarray, measured: np.ndarray, constant: 
         told: (N, 5) the same of the command, without the correction.
         measured: (N, 5) the same of the robot.
         constant: (N, 5) bool, what a robot is asked for and told the same for a while.
+        settings: Its rate and bounds.
 
     Returns:
         (N, 5).
     """
-    further = np.clip(trim + RATE * CONTROL_DT * (told - measured), -LIMITS, LIMITS)
-    return np.where(constant, further, (1 - FADE * CONTROL_DT) * trim)
+    limits = np.array(settings.limits)
+    further = np.clip(trim + settings.rate * CONTROL_DT * (told - measured), -limits, limits)
+    return np.where(constant, further, (1 - settings.fade * CONTROL_DT) * trim)

@@ -5,87 +5,111 @@ products are exact (``arithmetic.ExactProduct``).
 """
 
 import hashlib
+import io
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gym_demohlm.arithmetic import ExactProduct, elu
-from gym_demohlm.control import attitude, command, features, odometry, reference, trim
+from gym_demohlm.control import arm_load, command, features, reference
 from gym_demohlm.control.proprioception import Proprioception
+from gym_demohlm.control.settings import Settings
+from gym_demohlm.control.tick import LAST_ACTION, SLEWED, STANDING, STATE_SIZE, Sensors, Tick
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
-from gym_demohlm.timing import CONTROL_DT
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
-WEIGHTS_FORMAT = 4
+WEIGHTS_FORMAT = 5
+_FORMATS = dict(zip((4, WEIGHTS_FORMAT), features.OBSERVATION_SIZES, strict=True))
+_TABLES = (len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 5), arm_load.TABLE_SHAPE
 _LARGEST_INPUT = 6.0  # deviations from the mean: what training clips observations to
 _LARGEST_HIDDEN = 64.0  # of a hidden unit: far above what occurs
-_HISTORY = features.HISTORY * features.FRAME_SIZE
-_SLEWED = slice(_HISTORY + features.ACTION_SIZE, _HISTORY + features.ACTION_SIZE + 7)
-_CLOCK = _SLEWED.stop
-_VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
-_ARM_TARGETS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
-_CARRIED = slice(_ARM_TARGETS.stop, _ARM_TARGETS.stop + 2)
-_TRIM = slice(_CARRIED.stop, _CARRIED.stop + 5)
-# History, last action, slewed command, phase, stopped, standing, odometry, arms, loads, trim.
-STATE_SIZE = _TRIM.stop
-_TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
-_CONSTANT = 0.01  # m/s, m, rad: a command that moves on by less than this in a step is taken for a constant one
-_WHILE_STANDING = np.array([False, True, True, True, True])  # when an entry is trimmed
-_LEGS = len(g1.LEG_JOINTS)
-_ARM_POSITIONS = reference.NUM_LOWER + features.OBSERVED_ARM_INDEX
 
 
 class Weights:
-    """The exported policy: layers, normaliser, quasi-static tables and metadata.
+    """The exported policy: layers, normaliser, quasi-static tables, settings and metadata.
 
     Args:
         path: An ``.npz`` written by ``gym_demohlm.wbc.training.export``. Nothing in it is executed or unpickled.
 
     Attributes:
         metadata: How it was trained and what it expects.
+        settings: Its gait, slew and trim.
         hash: SHA-256 of the file.
 
     Raises:
-        SceneError: The file is missing, damaged, or of another format.
+        SceneError: The file is missing, damaged, of another format, or holds numbers that are not finite.
     """
 
     def __init__(self, path: Path = DEFAULT_WEIGHTS) -> None:
-        try:
-            content = path.read_bytes()
-            with np.load(path, allow_pickle=False) as arrays:
-                loaded = {name: arrays[name] for name in arrays.files}
-            self.metadata: dict[str, Any] = json.loads(loaded["metadata"].tobytes())
-            layers = int(self.metadata["layers"])
-            self.layers = [
-                (
-                    ExactProduct(loaded[f"weight_{i}"], _LARGEST_HIDDEN if i else _LARGEST_INPUT),
-                    loaded[f"bias_{i}"].astype(np.float64),
-                )
-                for i in range(layers)
-            ]
-            self.mean, self.scale = (loaded[name].astype(np.float64) for name in ("mean", "scale"))
-            self._tables = loaded["posture_table"], loaded["arm_table"]
-        except Exception as error:  # readers of zip files raise anything
-            raise SceneError(
-                f"controller weights {path.name} that cannot be read ({error})",
-                "an .npz file exported by demohlm train-controller",
-                "reinstall the package, or export the weights again",
-            ) from error
-        found = (self.metadata.get("format"), self.metadata.get("observation_size"))
-        if found != (WEIGHTS_FORMAT, features.OBSERVATION_SIZE):
-            raise SceneError(
-                f"controller weights of format {found[0]} for {found[1]} observations",
-                f"format {WEIGHTS_FORMAT} for {features.OBSERVATION_SIZE}",
-                "train or install weights for this version",
-            )
+        content, self.metadata, arrays = read_arrays(path)
+        self.settings = Settings.read(self.metadata)
+        self.layers = [
+            (ExactProduct(arrays[f"weight_{i}"], _LARGEST_HIDDEN if i else _LARGEST_INPUT), arrays[f"bias_{i}"])
+            for i in range(int(self.metadata["layers"]))
+        ]
+        self.mean, self.scale = arrays["mean"], arrays["scale"]
+        self._tables = arrays["posture_table"], arrays["arm_table"]
         self.hash = hashlib.sha256(content).hexdigest()
 
     def make_reference(self) -> reference.Reference:
         """Return the reference pose that the policy corrects."""
-        return reference.Reference(*self._tables)
+        return reference.Reference(*self._tables, self.settings.gait)
+
+
+def read_arrays(path: Path) -> tuple[bytes, dict[str, Any], dict[str, np.ndarray]]:
+    """Read and check a weights file of this or an earlier format.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        Its content, its metadata, and its arrays, float64.
+
+    Raises:
+        SceneError: As ``Weights``.
+    """
+    try:
+        content = path.read_bytes()
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            text = file["metadata"].tobytes()
+            arrays = {name: file[name].astype(np.float64) for name in file.files if name != "metadata"}
+        metadata: dict[str, Any] = json.loads(text)
+        found = (metadata["format"], metadata["observation_size"])
+        layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(int(metadata["layers"]))]
+        sizes = [len(arrays["mean"]), *(len(bias) for _, bias in layers)]
+        shapes = [weight.shape for weight, _ in layers] + [arrays["scale"].shape]
+        tables = arrays["posture_table"].shape, arrays["arm_table"].shape
+    except Exception as error:  # readers of zip files raise anything
+        raise SceneError(
+            f"controller weights {path.name} that cannot be read ({error})",
+            "an .npz file exported by demohlm train-controller",
+            "reinstall the package, or export the weights again",
+        ) from error
+    if found not in _FORMATS.items():
+        raise SceneError(
+            f"controller weights of format {found[0]} for {found[1]} observations",
+            " or ".join(f"format {number} for {size}" for number, size in _FORMATS.items()),
+            "train or install weights for this version",
+        )
+    expected = [*pairwise(sizes), (sizes[0],)]
+    if sizes[0] != found[1] or sizes[-1] != features.ACTION_SIZE or shapes != expected or tables != _TABLES:
+        raise SceneError(
+            f"controller weights {path.name} with layers of {shapes} and tables of {tables}",
+            f"layers that fit, from {found[1]} to {features.ACTION_SIZE}, and tables of {_TABLES}",
+            "export the weights again",
+        )
+    bad = sorted(name for name, values in arrays.items() if not np.isfinite(values).all())
+    if bad:
+        raise SceneError(
+            f"controller weights {path.name} with NaN or infinity in {', '.join(bad)}",
+            "finite numbers",
+            "export an earlier checkpoint of that training",
+        )
+    return content, metadata, arrays
 
 
 class WholeBodyController:
@@ -102,9 +126,40 @@ class WholeBodyController:
     def __init__(self, num_worlds: int, weights: Path | None = None) -> None:
         self.weights = Weights(weights or DEFAULT_WEIGHTS)
         self.reference = self.weights.make_reference()
+        self._tick = Tick(self.reference, self.weights.settings)
         self.state = np.zeros((num_worlds, STATE_SIZE))
-        ranges = g1.joint_ranges(g1.read_mjcf())
+        ranges = g1.joint_ranges(g1.read_mjcf())[reference.NUM_LOWER :]
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
+
+    @property
+    def settings(self) -> Settings:
+        """Its slew and trim, and its gait: those of the weights, until assigned."""
+        return self._tick.settings
+
+    @settings.setter
+    def settings(self, settings: Settings) -> None:
+        self.reference.gait = settings.gait
+        self._tick.settings = settings
+
+    @property
+    def last_action(self) -> np.ndarray:
+        """What the policies did in the last tick, (N, 15)."""
+        return self.state[:, LAST_ACTION].copy()
+
+    @property
+    def cycle_s(self) -> float:
+        """Period of the gait [s]."""
+        return self.reference.gait.period_s
+
+    @property
+    def standing(self) -> np.ndarray:
+        """Whose clocks rest, (N,) bool."""
+        return self.state[:, STANDING] > 0.5
+
+    @property
+    def slewed(self) -> np.ndarray:
+        """The command as far as it has been slewed, (N, 7)."""
+        return self.state[:, SLEWED].copy()
 
     def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Start the controllers of some worlds anew, standing at rest.
@@ -113,15 +168,10 @@ class WholeBodyController:
             worlds: (M,) indices.
             sensed: What the robots of these worlds sense, M rows.
         """
-        quat_wxyz, gyro, q, dq = sensed.quat_wxyz, sensed.gyro, sensed.q, sensed.dq
-        seen = features.OBSERVED_INDEX
-        frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
-        state = np.zeros((len(worlds), STATE_SIZE))
-        state[:, :_HISTORY] = np.tile(frame, (1, features.HISTORY))
-        state[:, _SLEWED] = command.rest()[:7]
-        state[:, _CLOCK : _CLOCK + 3] = [reference.REST_PHASES[0], 2.0, 1.0]
-        state[:, _ARM_TARGETS] = q[:, _ARM_POSITIONS]
-        self.state[worlds] = state
+        sensors, count = Sensors.of(sensed), len(worlds)
+        slewed = np.tile(command.rest()[:7], (count, 1))
+        arms = sensors.q[:, reference.NUM_LOWER :]
+        self.state[worlds] = self._tick.start(sensors, slewed, reference.at_rest(count), arms)
 
     def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by one tick of 0.02 s.
@@ -134,68 +184,21 @@ class WholeBodyController:
         Returns:
             Joint targets (M, 29) [rad].
         """
-        quat_wxyz, gyro, q, dq = sensed.quat_wxyz, sensed.gyro, sensed.q, sensed.dq
         chosen = slice(None) if worlds is None else worlds
-        state = self.state[chosen]
-        rows, seen = len(state), features.OBSERVED_INDEX
-        frame = features.frame(quat_wxyz, gyro, q[:, seen], dq[:, seen])
-        history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], frame], axis=1)
-        current, stands = state[:, _SLEWED], state[:, _CLOCK + 2] > 0.5
-        goal = reference.admissible(commands, current, stands)
-        slewed = reference.slew(current, goal)
-        down = features.gravity(quat_wxyz)
-        velocity, sole_tilt, height = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
-        velocity = odometry.smooth(state[:, _VELOCITY], velocity)
-        down_torso = attitude.in_torso(down, q[:, _LEGS : reference.NUM_LOWER])
-        carried = self.reference.arm_load.weigh(
-            state[:, _CARRIED],
-            state[:, _ARM_TARGETS],
-            q[:, _ARM_POSITIONS],
-            dq[:, _ARM_POSITIONS],
-            down_torso,
-            CONTROL_DT,
-        )
-        phase, stopped, standing = reference.advance_clock(
-            state[:, _CLOCK],
-            state[:, _CLOCK + 1],
-            stands,
-            slewed[:, :3],
-            reference.startled(velocity, sole_tilt),
-        )
-        turning = -(down * gyro).sum(axis=1)
-        measured = np.stack([turning, height, *attitude.roll_pitch(down_torso), q[:, _LEGS]], axis=1)
-        constant = (np.abs(goal - current) < _CONSTANT).all(axis=1, keepdims=True)
-        learns = constant & (standing[:, None] == _WHILE_STANDING)
-        correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns)
-        torso, torso_height = slewed[:, _TORSO], slewed[:, _TORSO.start]
-        trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
-        correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
-        told = slewed.copy()
-        told[:, _TRIMMED] += correction
         arms = commands[:, command.ARMS]
-        most_arms = arms[:, features.OBSERVED_ARM_INDEX]
-        observed = features.observation(
-            history.reshape(rows, features.HISTORY, features.FRAME_SIZE),
-            state[:, _HISTORY : _HISTORY + features.ACTION_SIZE],
-            most_arms,
-            told,
-            phase,
-            standing,
-            velocity,
-        )
-        action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
-        clock = np.stack([phase, stopped, standing.astype(np.float64)], axis=1)
-        self.state[chosen] = np.concatenate(
-            [history, action, slewed, clock, velocity, most_arms, carried, correction], axis=1
-        )
-        lower = self.reference(told, phase, standing, velocity, most_arms, carried)
-        lower += action * reference.action_scale(standing, torso)
-        return np.clip(np.concatenate([lower, arms], axis=1), self._lower, self._upper)
+        followed = arms[:, features.OBSERVED_ARM_INDEX]
+        situation = self._tick.perceive(self.state[chosen], Sensors.of(sensed), commands, followed)
+        action = np.clip(self._act(situation.observation()), -features.ACTION_LIMIT, features.ACTION_LIMIT)
+        self.state[chosen] = situation.remember(action)
+        lower = self._tick.targets(situation, action)
+        return np.concatenate([lower, np.clip(arms, self._lower, self._upper)], axis=1)
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
         """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        latent = (observed - self.weights.mean) * self.weights.scale  # the first product clips it
-        hidden = np.concatenate([latent, features.mirror(latent, features.OBSERVATION_MIRROR)])
+        inputs = len(self.weights.mean)
+        latent = (observed[:, :inputs] - self.weights.mean) * self.weights.scale  # the first product clips it
+        mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+        hidden = np.concatenate([latent, features.mirror(latent, mirror)])
         for product, bias in self.weights.layers[:-1]:
             hidden = elu(product(hidden) + bias)
         product, bias = self.weights.layers[-1]

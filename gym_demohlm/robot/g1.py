@@ -1,7 +1,12 @@
 """The MJCF of the Unitree G1 from mjlab -> an MjSpec with motors and point feet.
 
-Motor data (rotor inertia, gears, torque and speed limits) are Unitree's, as published by mjlab; joint armature follows
-from them as the rotor inertia seen through the gears. Joint names have no ``_joint`` suffix outside the MJCF.
+Motor data (rotor inertia, gears, torque limits) are Unitree's, as published by mjlab; joint armature follows from them
+as the rotor inertia seen through the gears. Dry friction and peak torque are those of Unitree's unitree_rl_lab
+(``unitree_actuators.py``: Fs and Y1 of N7520-14.3, N7520-22.5, N5020-16 and W4010-25). There, torque falls from a speed
+X1 on (14.5 rad/s in the knee, 15.3 in the wrist, 22.6 to 30.9 elsewhere); this robot does not get that fast: of 24
+loaded robots, pushed for 12 s amid commands from the whole range, no joint turned faster than 13.5 (knee), 11.8 (ankle)
+and 11.2 rad/s (wrist). So the peak torque is all that is left of the torque-speed line. Outside the MJCF, joint names
+have no ``_joint`` suffix.
 """
 
 import importlib.util
@@ -13,6 +18,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.errors import SceneError
+from gym_demohlm.robot.physics import PHYSICS, Physics
 
 _LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
 _ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")
@@ -40,6 +46,8 @@ FOOT_POINT_RADIUS = 0.005  # m
 
 # Collision groups as bits. Geoms collide where one's contype meets the other's conaffinity.
 ROBOT_BIT, WORLD_BIT = 1, 2
+BODY_BIT = 4  # of parts of the robot against one another
+FOOT_BOX = (0.085, 0.03, 0.01)  # m, half of it
 
 
 def _planetary_inertia(rotor: tuple[float, float, float], gears: tuple[float, float, float]) -> float:
@@ -57,40 +65,75 @@ class Motor:
         torque_limit: [Nm].
         stiffness: Position gain of the joint PD [Nm/rad].
         damping: Velocity gain of the joint PD [Nms/rad].
+        dry_friction: Torque that it takes to start turning it [Nm].
+        peak_torque: What it gives while it turns that way, up to half of its no-load speed and more [Nm].
     """
 
     armature: float
     torque_limit: float
     stiffness: float
     damping: float
+    dry_friction: float
+    peak_torque: float
 
 
-_A5020 = _planetary_inertia((0.139e-4, 0.017e-4, 0.169e-4), (1, 1 + 46 / 18, 1 + 56 / 16))
-_A7520_14 = _planetary_inertia((0.489e-4, 0.098e-4, 0.533e-4), (1, 4.5, 1 + 48 / 22))
-_A7520_22 = _planetary_inertia((0.489e-4, 0.109e-4, 0.738e-4), (1, 4.5, 5))
-_A4010 = _planetary_inertia((0.068e-4, 0.0, 0.0), (1, 5, 5))
+@dataclass(frozen=True, kw_only=True)
+class _Drive:
+    """A motor with its gears; see ``Motor``."""
 
-# Gains: stiff enough that the reference pose under gravity sags by less than 0.1 rad, damped to 0.3-1 of critical
-# for the inertia of the links they move. Ankles and the lower waist are driven by two 5020 motors side by side.
-_MOTORS: tuple[tuple[str, Motor], ...] = (
-    (r"hip_(pitch|yaw)$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=150.0, damping=4.0)),
-    (r"hip_roll$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=150.0, damping=4.0)),
-    (r"knee$", Motor(armature=_A7520_22, torque_limit=139.0, stiffness=200.0, damping=5.0)),
-    (r"ankle_(pitch|roll)$", Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=40.0, damping=2.0)),
-    (r"waist_yaw$", Motor(armature=_A7520_14, torque_limit=88.0, stiffness=250.0, damping=5.0)),
-    (r"waist_(roll|pitch)$", Motor(armature=2 * _A5020, torque_limit=50.0, stiffness=250.0, damping=5.0)),
-    (r"shoulder_(pitch|roll)$", Motor(armature=_A5020, torque_limit=25.0, stiffness=200.0, damping=4.0)),
-    (r"(shoulder_yaw|elbow)$", Motor(armature=_A5020, torque_limit=25.0, stiffness=150.0, damping=3.0)),
-    (r"wrist_roll$", Motor(armature=_A5020, torque_limit=25.0, stiffness=60.0, damping=1.5)),
-    (r"wrist_(pitch|yaw)$", Motor(armature=_A4010, torque_limit=5.0, stiffness=60.0, damping=1.5)),
+    armature: float
+    torque_limit: float
+    dry_friction: float
+    peak_torque: float
+
+    def twice(self) -> "_Drive":
+        """Return two of them side by side."""
+        return _Drive(**{name: 2 * value for name, value in vars(self).items()})
+
+
+_N5020 = _Drive(
+    armature=_planetary_inertia((0.139e-4, 0.017e-4, 0.169e-4), (1, 1 + 46 / 18, 1 + 56 / 16)),
+    torque_limit=25.0,
+    dry_friction=0.6,
+    peak_torque=24.8,
+)
+_N7520_14 = _Drive(
+    armature=_planetary_inertia((0.489e-4, 0.098e-4, 0.533e-4), (1, 4.5, 1 + 48 / 22)),
+    torque_limit=88.0,
+    dry_friction=1.6,
+    peak_torque=71.0,
+)
+_N7520_22 = _Drive(
+    armature=_planetary_inertia((0.489e-4, 0.109e-4, 0.738e-4), (1, 4.5, 5)),
+    torque_limit=139.0,
+    dry_friction=2.4,
+    peak_torque=111.0,
+)
+_W4010 = _Drive(
+    armature=_planetary_inertia((0.068e-4, 0.0, 0.0), (1, 5, 5)), torque_limit=5.0, dry_friction=0.6, peak_torque=4.8
+)
+
+# Stiffness and damping: stiff enough that the reference pose under gravity sags by less than 0.1 rad, damped to 0.3-1
+# of critical for the inertia of the links they move. Two 5020 motors side by side drive ankles and the lower waist.
+_JOINTS: tuple[tuple[str, _Drive, float, float], ...] = (
+    (r"hip_(pitch|yaw)$", _N7520_14, 150.0, 4.0),
+    (r"hip_roll$", _N7520_22, 150.0, 4.0),
+    (r"knee$", _N7520_22, 200.0, 5.0),
+    (r"ankle_(pitch|roll)$", _N5020.twice(), 40.0, 2.0),
+    (r"waist_yaw$", _N7520_14, 250.0, 5.0),
+    (r"waist_(roll|pitch)$", _N5020.twice(), 250.0, 5.0),
+    (r"shoulder_(pitch|roll)$", _N5020, 200.0, 4.0),
+    (r"(shoulder_yaw|elbow)$", _N5020, 150.0, 3.0),
+    (r"wrist_roll$", _N5020, 60.0, 1.5),
+    (r"wrist_(pitch|yaw)$", _W4010, 60.0, 1.5),
 )
 
 
 def motor(joint: str) -> Motor:
     """Return the drive of a body joint (name without ``_joint``)."""
-    for pattern, kind in _MOTORS:
+    for pattern, drive, stiffness, damping in _JOINTS:
         if re.search(pattern, joint):
-            return kind
+            return Motor(**vars(drive), stiffness=stiffness, damping=damping)
     raise SceneError(f"joint {joint!r}", f"one of {', '.join(BODY_JOINTS)}", "check the spelling")
 
 
@@ -115,12 +158,16 @@ def joint_ranges(spec: mujoco.MjSpec) -> np.ndarray:
     return np.array([spec.joint(f"{joint}_joint").range for joint in BODY_JOINTS])
 
 
-def load_body_spec() -> mujoco.MjSpec:
+def load_body_spec(physics: Physics | None = None) -> mujoco.MjSpec:
     """Read the G1 and give it motors and feet: 29 position actuators named as the joints, no sensors, no hands.
 
     Each foot gets four contact points instead of the MJCF's seven capsules, which takes less than half the time. The
-    other collision geoms collide with the world, not with each other.
+    other collision geoms collide with the world, and with each other where the physics says so, the feet as boxes.
+
+    Args:
+        physics: ``PHYSICS`` by default.
     """
+    physics = physics or PHYSICS
     spec = read_mjcf()
     for sensor in list(spec.sensors):
         spec.delete(sensor)
@@ -129,6 +176,8 @@ def load_body_spec() -> mujoco.MjSpec:
             spec.delete(geom)
         elif geom.name.endswith("_collision"):
             geom.contype, geom.conaffinity, geom.condim = ROBOT_BIT, WORLD_BIT, 3
+            if physics.self_collision:
+                geom.contype, geom.conaffinity = ROBOT_BIT | BODY_BIT, WORLD_BIT | BODY_BIT
     for side in SIDES:
         foot = spec.body(f"{side}_ankle_roll_link")
         for index, (x, y) in enumerate(FOOT_POINTS):
@@ -144,12 +193,18 @@ def load_body_spec() -> mujoco.MjSpec:
                 group=3,
                 mass=0,
             )
+        if physics.self_collision:
+            box = foot.add_geom(name=f"{side}_foot_collision", type=mujoco.mjtGeom.mjGEOM_BOX, size=FOOT_BOX)
+            box.pos, box.mass, box.group, box.condim = [0.035, 0.0, -0.02], 0.0, 3, 3
+            box.contype = box.conaffinity = BODY_BIT
         foot.add_site(name=f"{side}_sole", pos=[0.035, 0, -0.035], size=[0.01, 0.01, 0.01], group=5)
     for joint in BODY_JOINTS:
         drive = motor(joint)
         element = spec.joint(f"{joint}_joint")
-        element.armature, element.frictionloss = drive.armature, 0.0
-        add_position_actuator(spec, joint, f"{joint}_joint", drive.stiffness, drive.damping, drive.torque_limit)
+        element.armature = drive.armature
+        element.frictionloss = drive.dry_friction if physics.dry_friction and joint not in ARM_JOINTS else 0.0
+        torque = drive.peak_torque if physics.peak_torque else drive.torque_limit
+        add_position_actuator(spec, joint, f"{joint}_joint", drive.stiffness, drive.damping, torque)
     return spec
 
 

@@ -17,7 +17,6 @@ from gym_demohlm.robot import dynamixel, g1
 Hands = Literal["rubber", "gripper"]
 HANDS: tuple[str, ...] = get_args(Hands)
 
-HAND_BIT = 4  # collision bit of hands against each other and against the robot's own trunk and legs
 HARD = ((0.004, 1.0), (0.95, 0.99, 0.001))  # MuJoCo's solref and solimp of fingers and of the core of a palm
 _HAND_OBSTACLES = ("pelvis", "torso", "left_thigh", "right_thigh", "left_shin", "right_shin")  # + "_collision"
 
@@ -126,7 +125,7 @@ def add_hands(spec: mujoco.MjSpec, kind: Hands) -> None:
         else:
             _add_gripper(spec, side, GRIPPER)
     for name in _HAND_OBSTACLES:
-        spec.geom(f"{name}_collision").conaffinity |= HAND_BIT
+        spec.geom(f"{name}_collision").conaffinity |= g1.BODY_BIT
 
 
 def contact_geoms(kind: Hands, side: str) -> tuple[str, ...]:
@@ -211,7 +210,7 @@ def add_gripper_actuators(spec: mujoco.MjSpec) -> None:
 
 def _make_grasping(geom: mujoco.MjsGeom) -> None:
     """Make a geom of a hand collide with the world, the other hand, trunk and legs, with torsional friction."""
-    geom.contype, geom.conaffinity = g1.ROBOT_BIT | HAND_BIT, g1.WORLD_BIT | HAND_BIT
+    geom.contype, geom.conaffinity = g1.ROBOT_BIT | g1.BODY_BIT, g1.WORLD_BIT | g1.BODY_BIT
     geom.condim, geom.priority, geom.group = 4, 1, 3
     geom.solref = [0.005, 1]
 

@@ -3,6 +3,7 @@
 import mujoco
 
 from gym_demohlm.robot import g1, hands, neck
+from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.timing import PHYSICS_DT
 
 # Frames with sensors "<frame>_pos" (world position [m]) and "<frame>_quat" (world orientation, quat_wxyz).
@@ -14,7 +15,7 @@ VELOCITY_FRAMES = ("pelvis", "left_palm", "right_palm", "left_sole", "right_sole
 GRIPPER_JOINTS = ("left_gripper_jaw", "right_gripper_jaw")
 
 
-def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
+def robot_spec(kind: hands.Hands, physics: Physics | None = None) -> mujoco.MjSpec:
     """Return the robot alone: free joint ``floating_base_joint``, no floor, no light but its own.
 
     Actuators, in order: the 29 of `g1.BODY_JOINTS`, ``neck_yaw``, ``neck_pitch`` [rad], and with grippers
@@ -23,11 +24,13 @@ def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
 
     Args:
         kind: "rubber" or "gripper".
+        physics: ``PHYSICS`` by default.
 
     Raises:
         UnknownNameError: `kind` is neither.
     """
-    spec = g1.load_body_spec()
+    physics = physics or PHYSICS
+    spec = g1.load_body_spec(physics)
     spec.modelname = f"g1_{kind}"
     hands.add_hands(spec, kind)
     neck.add_neck(spec)
@@ -35,23 +38,25 @@ def robot_spec(kind: hands.Hands) -> mujoco.MjSpec:
     if kind == "gripper":
         hands.add_gripper_actuators(spec)
     _add_sensors(spec)
-    set_options(spec, kind)
+    set_options(spec, kind, physics)
     return spec
 
 
-def set_options(spec: mujoco.MjSpec, kind: hands.Hands) -> None:
+def set_options(spec: mujoco.MjSpec, kind: hands.Hands, physics: Physics) -> None:
     """Set the options under which hands hold without creeping: elliptic cone, impratio 10, implicitfast, 500 Hz.
 
     Grippers hold a cube or a bottle with a creep of 0.01 mm/s. Between soft rubber palms a box of 1 kg would creep by
-    8 mm/s and turn; with the no-slip pass it creeps by 0.01 mm/s, and a step takes a quarter longer. Without that pass,
-    sparse matrices save a sixth of the time.
+    7 mm/s and turn without the no-slip pass: see ``docs/controller.md``, "The model". Without that pass, sparse
+    matrices save a sixth of the time.
     """
     spec.option.timestep = PHYSICS_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
-    spec.option.noslip_iterations = 3 if kind == "rubber" else 0
+    spec.option.noslip_iterations = physics.noslip_iterations if kind == "rubber" else 0
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    if not physics.islands:
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
 def actuator_names(kind: hands.Hands) -> tuple[str, ...]:

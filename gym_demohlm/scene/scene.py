@@ -38,7 +38,7 @@ class _Placement:
 
 
 class Scene:
-    """One task's compiled model with its addresses. Only what a `Memory` draws changes in it.
+    """One task's compiled model with its addresses. Only gains and what a `Memory` draws change in it.
 
     Attributes:
         task: The task.
@@ -100,6 +100,13 @@ class Scene:
         if name not in self._frames:
             raise UnknownNameError("frame", name, self._frames)
         return self._frames[name]
+
+    def set_gains(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
+        """Give the servos of ``g1.BODY_JOINTS`` their gains [Nm/rad, Nms/rad], in place."""
+        for model in (self.model, self.physics, self.untouched):
+            for joint, k, d in zip(g1.BODY_JOINTS, stiffness, damping, strict=True):
+                servo = model.actuator(joint)
+                servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = k, -k, -d
 
     def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Turn an initial state into positions of the robot, at rest on its feet, of objects and of their supports.

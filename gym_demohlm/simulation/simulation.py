@@ -128,6 +128,9 @@ class Simulation(Worlds):
         super().__init__(task, num_worlds)
         model = self.model
         self._controller: Controller = controller or WholeBodyController(num_worlds)
+        if isinstance(self._controller, WholeBodyController):
+            settings = self._controller.settings
+            self.scene.set_gains(settings.stiffness, settings.damping)
         self._gaze = GazeController()
         threads = min(num_threads, num_worlds)
         self._pool = make_pool(threads) if pool is None else pool
@@ -224,6 +227,11 @@ class Simulation(Worlds):
     def controller(self) -> Controller:
         """The whole-body controller of these worlds."""
         return self._controller
+
+    @property
+    def last_control(self) -> np.ndarray:
+        """What the physics of the last tick was given, (n, motors, then mocap positions and quaternions)."""
+        return self._control[: len(self._stepped), -1].copy()
 
     def readings(self, sensor: str) -> tuple[np.ndarray, np.ndarray]:
         """Return what a sensor read in every physics step of the last step of 0.1 s.

@@ -24,6 +24,10 @@ class Options:
         polish: Learn slowly and explore little, for the last part of a run.
         max_steps: Control steps of the whole run after which it ends.
         evaluate_every: Iterations between evaluations.
+        warm_start: Exported weights that the actor goes on from. The critic begins afresh.
+        warm_up: Iterations in which that critic learns alone.
+        gait: JSON file with settings of the walking reference.
+        reward: Other weights of terms of the reward, as NAME=WEIGHT.
         without: Leave one part of the training out, to see what it is worth.
     """
 
@@ -36,20 +40,33 @@ class Options:
     polish: bool = False
     max_steps: Annotated[int | None, default("no end")] = None
     evaluate_every: int = TrainConfig.evaluate_every
+    warm_start: Annotated[Path | None, default("nothing")] = None
+    warm_up: int = TrainConfig.warm_up
+    gait: Annotated[Path | None, default("the first controller's")] = None
+    reward: Annotated[tuple[str, ...], default("the weights of rewards.py")] = ()
     without: Annotated[Literal["symmetry", "reference", "curriculum"] | None, default("nothing")] = None
 
 
 def run(options: Options) -> None:
     """Train the controller."""
+    from gym_demohlm.control.settings import read_gait
+    from gym_demohlm.wbc.training import rewards
     from gym_demohlm.wbc.training.train import POLISHING_NOISE, train
 
     config = cuda_config() if options.device == "cuda" else cpu_config(options.num_processes or _CPU_PROCESSES)
     config = replace(
         config,
-        mdp=replace(config.mdp, use_reference=options.without != "reference"),
+        mdp=replace(
+            config.mdp,
+            use_reference=options.without != "reference",
+            gait=read_gait(options.gait) if options.gait else config.mdp.gait,
+            reward_table=rewards.with_weights(dict(rewards.parse(text) for text in options.reward)),
+        ),
         num_processes=options.num_processes or config.num_processes,
         polish=options.polish,
-        largest_noise=POLISHING_NOISE if options.polish else config.largest_noise,
+        largest_noise=POLISHING_NOISE if options.polish or options.warm_start else config.largest_noise,
+        warm_start=options.warm_start,
+        warm_up=options.warm_up,
         symmetric=options.without != "symmetry",
         curriculum=options.without != "curriculum",
         evaluate_every=options.evaluate_every,

@@ -7,9 +7,9 @@ robot's own body, with a load of 0 to 2 kg in each hand; errors count from 1.5 s
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from gym_demohlm.control import attitude, command
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
-from gym_demohlm.simulation import Simulation
+from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.timing import CONTROL_DT, STEP_DT
 from gym_demohlm.wbc.evaluation.commanded_posture import Figure
+from gym_demohlm.wbc.evaluation.cycle import CycleMean
+from gym_demohlm.wbc.evaluation.intervals import wilson
 from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_simulation, trial_task
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange, Driver
 
@@ -27,6 +29,8 @@ REDRAW_S, SETTLE_S = 4.0, 1.5
 PUSH_EVERY_S, PUSH_SPEED = 3.0, 0.5  # s, m/s
 LARGEST_HAND_LOAD = 2.0  # kg
 NUM_LOADS = 8  # pairs of hand loads; worlds are shared among them
+POSTURES = ("walking", "upright", "turned", "low", "bent", "low and bent")
+_LOW, _BENT, _ROLLED, _TURNED = 0.60, 0.4, 0.2, 0.5  # m, rad, rad, rad: from where on a robot that stands is that
 TOUCHING = 5.0  # N: a sole that bears this much stands on the floor
 ROBUSTNESS = {
     "friction_0.4": Disturbance(friction=0.4),
@@ -77,6 +81,35 @@ def _errors(simulation: Simulation, commands: np.ndarray) -> dict[str, np.ndarra
     }
 
 
+class Trialled(Controller, Protocol):
+    """What the benchmark asks of a controller besides what a simulation does."""
+
+    @property
+    def cycle_s(self) -> float:
+        """Period of its gait [s]."""
+        ...
+
+    @property
+    def standing(self) -> np.ndarray:
+        """Who does not step, (N,) bool."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fall:
+    """A robot that fell.
+
+    Attributes:
+        time_s: When, from the start of its episode [s].
+        posture: What it was told, one of ``POSTURES``.
+        command: (7,) the same in numbers: velocity, height, roll, pitch, yaw.
+    """
+
+    time_s: float
+    posture: str
+    command: np.ndarray
+
+
 @dataclass
 class Samples:
     """What one group of worlds showed.
@@ -84,10 +117,14 @@ class Samples:
     Attributes:
         sums: Name -> sum and number of samples.
         alive: (N,) bool, who never fell.
+        told: Posture -> how often a robot that was up was told to take it.
+        falls: In their order.
     """
 
     sums: dict[str, tuple[float, int]]
     alive: np.ndarray
+    told: dict[str, int] = field(default_factory=lambda: dict.fromkeys(POSTURES, 0))
+    falls: list[Fall] = field(default_factory=list)
 
     def add(self, name: str, values: np.ndarray) -> None:
         """Add samples of a quantity."""
@@ -104,6 +141,26 @@ def summarise(groups: list[Samples]) -> dict[str, float]:
     return {**found, "survival": float(np.concatenate([group.alive for group in groups]).mean())}
 
 
+def posture(told: np.ndarray, walks: bool) -> str:
+    """Return which of ``POSTURES`` a command (7 or more,) asks for."""
+    if walks:
+        return "walking"
+    low, bent = told[command.HEIGHT] < _LOW, told[command.PITCH] > _BENT
+    turned = abs(told[command.ROLL]) > _ROLLED or abs(told[command.YAW]) > _TURNED
+    return ("low and bent" if low else "bent") if bent else "low" if low else "turned" if turned else "upright"
+
+
+def falls_by_posture(groups: list[Samples]) -> dict[str, dict[str, int]]:
+    """Return how often each posture was asked for and how many robots fell in it."""
+    return {
+        name: {
+            "told": sum(group.told[name] for group in groups),
+            "falls": sum(fall.posture == name for group in groups for fall in group.falls),
+        }
+        for name in POSTURES
+    }
+
+
 def measure(
     simulation: Simulation,
     seconds: float,
@@ -115,29 +172,43 @@ def measure(
     """Let every world of a simulation follow random commands for one episode.
 
     Args:
-        simulation: Of ``trial_task``; reset here.
+        simulation: Of ``trial_task``; reset here. Its controller is a ``Trialled`` one.
         seconds: Length of an episode.
         seed: Of commands and pushes.
         push_speed: Sudden horizontal velocity [m/s] in a random direction every 3 s.
         ranges: What to draw commands from.
     """
     rng = np.random.default_rng(seed)
-    n = simulation.num_worlds
+    n, controller = simulation.num_worlds, cast(Trialled, simulation.controller)
     simulation.reset([simulation.task.default_state()] * n)
     figure = Figure(simulation.model, Weights().make_reference())
     driver = Driver(ranges or CommandRange(), n, rng, figure)
     samples = Samples({}, np.ones(n, dtype=bool))
+    cycle = CycleMean(simulation, controller.cycle_s)
     redraw, settle, push = (round(span / STEP_DT) for span in (REDRAW_S, SETTLE_S, PUSH_EVERY_S))
     for step in range(round(seconds / STEP_DT)):
         if step % redraw == 0:
             driver.redraw()
+            for world in np.flatnonzero(samples.alive):
+                samples.told[posture(driver.commands[world], bool(driver.walks[world]))] += 1
         if push_speed and step % push == push - 1:
             push_robots(simulation, push_speed, rng)
         commands = driver.step()
         result = simulation.step(commands, active=samples.alive)
-        samples.alive &= ~(simulation.fallen() | result.unstable)
+        cycle.add()
+        fell = samples.alive & (simulation.fallen() | result.unstable)
+        samples.alive &= ~fell
+        for world in np.flatnonzero(fell):
+            told = commands[world, : command.ARMS.start]
+            name = posture(told, bool(driver.walks[world]))
+            samples.falls.append(Fall(time_s=(step + 1) * STEP_DT, posture=name, command=told))
         if step % redraw >= settle:
             found = _errors(simulation, commands) | _efforts(simulation)
+            found["reflex"] = (~controller.standing).astype(float)
+            if step % redraw >= settle + cycle.steps:
+                error = cycle.mean() - commands[:, command.VELOCITY]
+                found["linear_velocity_cycle"] = np.hypot(error[:, 0], error[:, 1])
+                found["yaw_rate_cycle"] = np.abs(error[:, 2])
             for mode, mask in (("walking", driver.walks), ("standing", ~driver.walks)):
                 for name, values in found.items():
                     samples.add(f"{mode}/{name}", values[samples.alive & mask])
@@ -198,21 +269,21 @@ def push_robots(simulation: Simulation, speed: float | np.ndarray, rng: np.rando
 
 
 def tick_share(simulation: Simulation, seconds: float = 2.0) -> float:
-    """Return the controller's time as a share of the physics' time, half of the robots walking."""
+    """Return the controller's time on a core as a share of the physics', half of the robots walking; one thread."""
     num_worlds, controller = simulation.num_worlds, simulation.controller
     commands = np.tile(command.rest(), (num_worlds, 1))
     commands[::2, 0] = 0.3
-    began = time.perf_counter()
+    began = time.process_time()
     for _ in range(round(seconds / STEP_DT)):
         simulation.step(commands)
-    whole = time.perf_counter() - began
+    whole = time.process_time() - began
     home, still = np.tile(g1.HOME, (num_worlds, 1)), np.zeros((num_worlds, len(g1.BODY_JOINTS)))
     upright = np.tile([1.0, 0, 0, 0], (num_worlds, 1))
     sensed = Proprioception(quat_wxyz=upright, gyro=np.zeros((num_worlds, 3)), q=home, dq=still)
-    began = time.perf_counter()
+    began = time.process_time()
     for _ in range(round(seconds / CONTROL_DT)):
         controller.step(sensed, commands)
-    ticks = time.perf_counter() - began
+    ticks = time.process_time() - began
     return ticks / (whole - ticks)
 
 
@@ -232,51 +303,73 @@ def benchmark(
     ranges: CommandRange | None = None,
     weights: Path | None = None,
     *,
+    num_seeds: int = 1,
     largest_hand_load: float = LARGEST_HAND_LOAD,
     make: Maker | None = None,
 ) -> dict[str, Any]:
     """Return the summary that ``demohlm benchmark controller`` prints as its last line.
 
     Args:
-        num_worlds: Robots in all, each one episode; shared among pairs of hand loads.
+        num_worlds: Robots in all, each one episode; shared among seeds and pairs of hand loads.
         seconds: Length of an episode.
-        seed: Of loads, commands and pushes.
+        seed: The first, of loads, commands and pushes.
         num_threads: Threads of the physics.
         ranges: What to draw commands from.
         weights: Of the controller; the packaged ones by default.
+        num_seeds: Seeds, one after another.
         largest_hand_load: [kg].
         make: Makes the worlds; ``trial_simulation`` by default.
     """
     ranges = ranges or CommandRange()
     make = make or (lambda n, load, threads: trial_simulation(n, load, num_threads=threads, weights=weights))
-    loads = np.random.default_rng(seed).uniform(0, largest_hand_load, (NUM_LOADS, 2))
-    plain, pushed = [], []
-    for index, share in enumerate(np.array_split(np.arange(num_worlds), NUM_LOADS)):
-        if len(share) == 0:
-            continue
-        disturbance = Disturbance(hand_loads=(float(loads[index, 0]), float(loads[index, 1])))
-        simulation = make(len(share), disturbance, num_threads)
-        own_seed = NUM_LOADS * seed + index
-        plain.append(measure(simulation, seconds, own_seed, ranges=ranges))
-        pushed.append(measure(simulation, seconds, own_seed, ranges=ranges, push_speed=PUSH_SPEED))
+    plain: list[Samples] = []
+    pushed: list[Samples] = []
+    light: list[Samples] = []
+    by_load: list[dict[str, Any]] = []
+    for own_seed, robots in enumerate(np.array_split(np.arange(num_worlds), num_seeds), start=seed):
+        loads = np.random.default_rng(own_seed).uniform(0, largest_hand_load, (NUM_LOADS, 2))
+        for index, share in enumerate(np.array_split(robots, NUM_LOADS)):
+            if len(share) == 0:
+                continue
+            pair = (float(loads[index, 0]), float(loads[index, 1]))
+            simulation = make(len(share), Disturbance(hand_loads=pair), num_threads)
+            drawn = NUM_LOADS * own_seed + index
+            plain.append(measure(simulation, seconds, drawn, ranges=ranges))
+            pushed.append(measure(simulation, seconds, drawn, ranges=ranges, push_speed=PUSH_SPEED))
+            falls, falls_pushed = len(plain[-1].falls), len(pushed[-1].falls)
+            by_load.append({"loads": pair, "robots": len(share), "falls": falls, "falls_pushed": falls_pushed})
+            simulation.close()
+        simulation = make(max(2, len(robots) // 4), Disturbance(), num_threads)
+        light.append(measure(simulation, seconds, own_seed, ranges=ranges.velocity_only()))
         simulation.close()
-    errors, errors_pushed = summarise(plain), summarise(pushed)
+    errors, errors_pushed, errors_light = summarise(plain), summarise(pushed), summarise(light)
     return {
         "linear_velocity_error": errors["walking/linear_velocity"],
         "yaw_rate_error": errors["walking/yaw_rate"],
+        "linear_velocity_error_cycle": errors["walking/linear_velocity_cycle"],
+        "yaw_rate_error_cycle": errors["walking/yaw_rate_cycle"],
         "height_error": errors["standing/height"],
         "torso_pitch_error": errors["standing/torso_pitch"],
         "torso_roll_error": errors["standing/torso_roll"],
         "torso_yaw_error": errors["standing/torso_yaw"],
         "standing_drift": errors["standing/drift"],
+        "reflex_share": errors["standing/reflex"],
         "walking_slip": errors["walking/slip"],
         "standing_slip": errors["standing/slip"],
         "walking_power": errors["walking/power"],
         "standing_power": errors["standing/power"],
+        "walking_power_velocity_only": errors_light["walking/power"],
+        "walking_slip_velocity_only": errors_light["walking/slip"],
         "survival": errors["survival"],
+        "survival_low": wilson(errors["survival"], num_worlds)[0],
         "survival_pushed": errors_pushed["survival"],
+        "survival_pushed_low": wilson(errors_pushed["survival"], num_worlds)[0],
+        "falls_by_load": by_load,
+        "falls_by_posture": falls_by_posture(plain),
+        "falls_by_posture_pushed": falls_by_posture(pushed),
         "tick_share": tick_share(make(min(num_worlds, 64), Disturbance(), 1)),
         "num_worlds": num_worlds,
+        "num_seeds": num_seeds,
         "seconds": seconds,
         "seed": seed,
         "largest_hand_load": largest_hand_load,
@@ -285,11 +378,13 @@ def benchmark(
     }
 
 
-def robustness(num_worlds: int, seconds: float, seed: int, num_threads: int = 2) -> dict[str, Any]:
+def robustness(
+    num_worlds: int, seconds: float, seed: int, num_threads: int = 2, weights: Path | None = None
+) -> dict[str, Any]:
     """Return the survival under each disturbance that training did not aim at, and with none; empty hands."""
     found: dict[str, Any] = {}
     for name, disturbance in {"none": None, **ROBUSTNESS}.items():
-        simulation = trial_simulation(num_worlds, disturbance, num_threads=num_threads)
+        simulation = trial_simulation(num_worlds, disturbance, num_threads=num_threads, weights=weights)
         found[f"survival/{name}"] = summarise([measure(simulation, seconds, seed)])["survival"]
         simulation.close()
     return {**found, "num_worlds": num_worlds, "seconds": seconds, "seed": seed}

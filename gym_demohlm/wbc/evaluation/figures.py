@@ -20,6 +20,7 @@ from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT, STEP_DT
 from gym_demohlm.wbc.evaluation.benchmark import push_robots, tracked
+from gym_demohlm.wbc.evaluation.intervals import wilson
 from gym_demohlm.wbc.evaluation.performance import SCRIPT, Recorder, Scene, Take, film, perform
 from gym_demohlm.wbc.evaluation.trial import trial_simulation
 
@@ -127,7 +128,7 @@ def draw_push_survival(found: Mapping[str, Sequence[float]], num_worlds: int, pa
     apart = 0.012  # m/s, so that intervals do not hide one another
     for index, ((name, shares), color) in enumerate(zip(found.items(), (_STANDS, _TOLD, _WALKS), strict=True)):
         share = np.asarray(shares)
-        low, high = _wilson(share, num_worlds)
+        low, high = wilson(share, num_worlds)
         axes.errorbar(
             np.array(PUSH_SPEEDS) + apart * (index - 1),
             100 * share,
@@ -324,14 +325,6 @@ def _shade(axes: Axes, labels: Sequence[str]) -> None:
     for index, (start, stop, _) in enumerate(_spans(labels)):
         if index % 2:
             axes.axvspan(start, stop, color="0.94", linewidth=0)
-
-
-def _wilson(share: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 95 % Wilson interval of shares out of ``count`` trials."""
-    z = 1.96
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return middle - half, middle + half
 
 
 def _read_lines(path: Path) -> list[dict[str, float]]:

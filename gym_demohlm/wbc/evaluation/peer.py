@@ -143,6 +143,16 @@ class PeerController:
         self.state = np.zeros((num_worlds, len(g1.BODY_JOINTS) + 3))
         self.velocity = np.zeros((num_worlds, 3))
 
+    @property
+    def cycle_s(self) -> float:
+        """Period of its gait [s]."""
+        return self.policy.gait_period_s
+
+    @property
+    def standing(self) -> np.ndarray:
+        """Who does not step, (N,) bool."""
+        return self.state[:, -1] > 0.5
+
     def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Start some worlds anew: no action yet, left foot at the start of its cycle, right foot half a cycle away."""
         self.state[worlds] = 0.0

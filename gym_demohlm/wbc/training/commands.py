@@ -17,7 +17,7 @@ _PRACTISED = 0.15  # share of draws that begin such a pair of commands, once the
 
 
 class CommandSampler:
-    """Commands redrawn every 2-6 s, slewed as at run time, and arms that move between random poses.
+    """Commands redrawn every 2-6 s, and arms that move between random poses.
 
     Falls get rare, and where they happen is a small part of the range: the last commands at which robots fell, each
     with the one before it, are given again more often than chance would have it.
@@ -25,7 +25,6 @@ class CommandSampler:
     Attributes:
         goal: (N, 7) drawn commands.
         previous: (N, 7) the ones before.
-        current: (N, 7) slewed commands: what the policy sees and is rewarded for.
         arms: (N, 8) arm targets [rad].
     """
 
@@ -33,7 +32,6 @@ class CommandSampler:
         self.rng = rng
         self.goal = np.zeros((num_worlds, 7))
         self.previous = np.zeros((num_worlds, 7))
-        self.current = np.zeros((num_worlds, 7))
         self.arms = np.tile(_ARM_HOME, (num_worlds, 1))
         self._arm_goal = self.arms.copy()
         self._arm_rate = np.ones((num_worlds, 1))
@@ -41,27 +39,34 @@ class CommandSampler:
         self._next = np.full((num_worlds, 7), np.nan)
         self._hard = np.zeros((0, 2, 7))
 
+    @property
+    def arm_goal(self) -> np.ndarray:
+        """Where the arms are going, (N, 8) [rad]."""
+        return self._arm_goal
+
     def remember(self, worlds: np.ndarray) -> None:
         """Keep the commands of robots that fell, to practise them."""
         pairs = np.stack([self.previous[worlds], self.goal[worlds]], axis=1)
         self._hard = np.concatenate([self._hard, pairs])[-_REMEMBERED:]
 
     def reset(self, worlds: np.ndarray, level: float) -> None:
-        """Draw new commands for new episodes, which start at the commanded posture with no velocity."""
+        """Draw new commands for new episodes, which start with the arms where they are sent."""
         self._next[worlds] = np.nan
         self._draw(worlds, level)
         self._draw_arms(worlds, level)
-        goal = self.goal[worlds]
-        goal[:, :3] = 0
-        self.current[worlds] = reference.admissible(goal, goal, np.ones(len(worlds), dtype=bool))
         self.arms[worlds] = self._arm_goal[worlds]
 
-    def advance(self, level: float, standing: np.ndarray) -> None:
-        """Move on by one control tick; ``standing`` (N,) says whose clock rests."""
+    def start(self, worlds: np.ndarray) -> np.ndarray:
+        """Return the slewed commands (n, 7) of episodes that start: at the commanded posture with no velocity."""
+        goal = self.goal[worlds]
+        goal[:, :3] = 0
+        return reference.admissible(goal, goal, np.ones(len(worlds), dtype=bool))
+
+    def advance(self, level: float) -> None:
+        """Move on by one control tick."""
         self._ticks_left -= 1
         self._draw(np.nonzero(self._ticks_left <= 0)[0], level)
         self._draw_arms(np.nonzero(self.rng.random(len(self.goal)) < 0.008)[0], level)
-        self.current = reference.slew(self.current, reference.admissible(self.goal, self.current, standing))
         self.arms = self.arms + np.clip(self._arm_goal - self.arms, -self._arm_rate, self._arm_rate)
 
     def _draw(self, worlds: np.ndarray, level: float) -> None:

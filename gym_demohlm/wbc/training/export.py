@@ -10,18 +10,51 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from gym_demohlm.control import features, reference
-from gym_demohlm.robot import g1
+from gym_demohlm.control.settings import Settings
+from gym_demohlm.control.whole_body import WEIGHTS_FORMAT, read_arrays
+from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT
 
-FORMAT = 4
+_SEEN = 30_000_000  # samples that the normaliser of imported weights is taken to have seen
 
 
-def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts: dict[str, Any]) -> None:
+def import_weights(actor: MLPModel, path: Path) -> None:
+    """Set an actor's network and normaliser to those of exported weights, to go on learning from there.
+
+    Inputs that the file does not know begin with a weight of zero.
+
+    Raises:
+        SceneError: As ``read_arrays``.
+    """
+    _, metadata, arrays = read_arrays(path)
+    more = features.OBSERVATION_SIZE - len(arrays["mean"])
+    scale = np.pad(arrays["scale"], (0, more), constant_values=1.0)
+    normaliser = cast(EmpiricalNormalization, actor.obs_normalizer)
+    std = 1.0 / scale - normaliser.eps
+    values = {"_mean": np.pad(arrays["mean"], (0, more)), "_std": std, "_var": std**2}
+    arrays["weight_0"] = np.pad(arrays["weight_0"], ((0, more), (0, 0)))
+    linear = [layer for layer in actor.mlp if isinstance(layer, torch.nn.Linear)]
+    if len(linear) != metadata["layers"]:
+        got = f"weights of {metadata['layers']} layers"
+        raise SceneError(got, f"{len(linear)}, as the network that is trained", "train a network of that size")
+    with torch.no_grad():
+        for name, numbers in values.items():
+            cast(torch.Tensor, getattr(normaliser, name)).copy_(torch.from_numpy(numbers)[None])
+        cast(torch.Tensor, normaliser.count).fill_(_SEEN)
+        for index, layer in enumerate(linear):
+            layer.weight.copy_(torch.from_numpy(arrays[f"weight_{index}"].T))
+            layer.bias.copy_(torch.from_numpy(arrays[f"bias_{index}"]))
+
+
+def export_weights(
+    actor: MLPModel, pose: reference.Reference, settings: Settings, path: Path, facts: dict[str, Any]
+) -> None:
     """Write the actor.
 
     Args:
         actor: The symmetric actor with its normaliser.
         pose: The reference, for its quasi-static tables.
+        settings: Gait, slew and trim at run time.
         path: Of the file to write, replaced at once.
         facts: How it was trained, kept in the metadata.
     """
@@ -37,7 +70,7 @@ def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts
         arrays[f"weight_{index}"] = layer.weight.detach().cpu().numpy().T.astype(np.float32)
         arrays[f"bias_{index}"] = layer.bias.detach().cpu().numpy().astype(np.float32)
     metadata = {
-        "format": FORMAT,
+        "format": WEIGHTS_FORMAT,
         "layers": len(linear),
         "activation": "elu",
         "observation_size": features.OBSERVATION_SIZE,
@@ -45,9 +78,7 @@ def export_weights(actor: MLPModel, pose: reference.Reference, path: Path, facts
         "action_scale": features.ACTION_SCALE.tolist(),
         "driven_joints": list(features.DRIVEN_JOINTS),
         "control_dt_s": CONTROL_DT,
-        "gait": vars(reference.GAIT),
-        "stiffness": {joint: g1.motor(joint).stiffness for joint in g1.BODY_JOINTS},
-        "damping": {joint: g1.motor(joint).damping for joint in g1.BODY_JOINTS},
+        **settings.metadata(),
         **facts,
     }
     arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)

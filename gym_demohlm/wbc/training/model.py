@@ -1,5 +1,7 @@
 """The G1 -> cheap, randomised training models: feet on a floor, wrists welded, 5 ms steps."""
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -9,21 +11,31 @@ from gym_demohlm.robot import g1
 
 TRAINING_DT = 0.005  # s: four steps a control tick, where the deployment model takes ten
 SUBSTEPS = 4
+LARGEST_LOAD = 2.2  # kg, in each hand
 
 
-def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
+def training_model(rng: np.random.Generator | None, hand_loads: tuple[float, float] | None = None) -> mujoco.MjModel:
     """Compile a training model; with a generator, its friction, masses and gains are randomised.
 
-    Ranges: friction 0.4-1.1, hand loads 0-2.2 kg (half of them under 0.2 kg), torso mass -0.8..+3 kg (mostly near
-    nothing), torso centre of mass +-2.5 cm, stiffness +-10 %, damping +-20 %.
+    Ranges: friction 0.4-1.1, hand loads 0-2.2 kg, torso mass -0.8..+3 kg (mostly near nothing), torso centre of mass
+    +-2.5 cm, stiffness +-10 %, damping +-20 %; dry friction of legs and waist: none in a quarter of the models, 0.3 to
+    1.3 of ``Motor.dry_friction`` in the others (it costs time). Feet touch the floor and, where the physics has them
+    do so, each other.
+
+    Args:
+        rng: Of what is random; without it the model is the nominal one.
+        hand_loads: Left and right [kg], instead of random ones.
     """
     spec = g1.load_body_spec()
     spec.option.timestep = TRAINING_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.iterations, spec.option.ls_iterations = 5, 8
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    # One robot: islands of constraints and sparse matrices only cost time.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for geom in list(spec.geoms):
-        if "foot_point" not in geom.name:
+        if "foot_" not in geom.name:
             spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
@@ -42,18 +54,53 @@ def training_model(rng: np.random.Generator | None) -> mujoco.MjModel:
     for geom in spec.geoms:
         geom.friction = [friction, 0.005, 0.0001]
     if rng is not None:
-        _randomise(spec, rng)
+        _randomise(spec, rng, hand_loads or tuple(rng.uniform(0.0, LARGEST_LOAD, 2)))
     _add_sensors(spec)
     return spec.compile()
 
 
-def _randomise(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-    for side in g1.SIDES:
-        mass = rng.uniform(0.01, 0.2) if rng.random() < 0.5 else rng.uniform(0.2, 2.2)
-        g1.add_load(spec, f"{side}_wrist_yaw_link", mass, HAND)
+def stratified_loads(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return pairs of hand loads (count, 2) [kg] that fill the square evenly: one in each cell of a grid, shuffled."""
+    rows = max(1, int(np.sqrt(count)))
+    columns = -(-count // rows)
+    cells = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1).reshape(-1, 2)
+    pairs = (cells + rng.random(cells.shape)) / np.array([rows, columns]) * LARGEST_LOAD
+    return rng.permutation(pairs)[:count]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A randomised model.
+
+    Attributes:
+        model: The model.
+        facts: (4,) hand loads [kg], friction, mass added to the torso [kg]: what a critic may know.
+    """
+
+    model: mujoco.MjModel
+    facts: np.ndarray
+
+
+def variants(count: int, rng: np.random.Generator) -> list[Variant]:
+    """Return randomised models whose pairs of hand loads are stratified."""
+    nominal = training_model(None).body("torso_link").mass[0]
+    made = []
+    for left, right in stratified_loads(count, rng):
+        model = training_model(rng, (float(left), float(right)))
+        added = model.body("torso_link").mass[0] - nominal
+        made.append(Variant(model=model, facts=np.array([left, right, model.geom("floor").friction[0], added])))
+    return made
+
+
+def _randomise(spec: mujoco.MjSpec, rng: np.random.Generator, hand_loads: tuple[float, ...]) -> None:
+    for side, mass in zip(g1.SIDES, hand_loads, strict=True):
+        g1.add_load(spec, f"{side}_wrist_yaw_link", max(mass, 0.01), HAND)
     torso = spec.body("torso_link")
     torso.mass += rng.uniform(-0.8, 0.8) if rng.random() < 0.7 else rng.uniform(0.8, 3.2)
     torso.ipos = torso.ipos + rng.uniform(-0.025, 0.025, 3)
+    friction = rng.uniform(0.3, 1.3) if rng.random() < 0.75 else 0.0
+    for joint in features.DRIVEN_JOINTS:
+        spec.joint(f"{joint}_joint").frictionloss = friction * g1.motor(joint).dry_friction
     stiffness, damping = rng.uniform(0.9, 1.1), rng.uniform(0.8, 1.2)
     for actuator in spec.actuators:
         actuator.gainprm[0] *= stiffness

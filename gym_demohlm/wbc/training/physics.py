@@ -16,7 +16,11 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 class Physics(Protocol):
-    """Steps N worlds that share a few randomised models; world ``i`` has model ``i % len(models)``."""
+    """Steps N worlds that share a few randomised models; world ``i`` begins with model ``i % len(models)``."""
+
+    def assign(self, worlds: np.ndarray, models: np.ndarray) -> bool:
+        """Give worlds (n,) other models, by their indices (n,); returns whether this physics can."""
+        ...
 
     def step(self, state: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Advance all worlds, the constraint solver started cold.
@@ -57,9 +61,16 @@ class RolloutPhysics:
 
     def __init__(self, models: Sequence[mujoco.MjModel], num_worlds: int, num_threads: int = 1) -> None:
         check_models(models)
+        self._choice = list(models)
         self._models = [models[world % len(models)] for world in range(num_worlds)]
         self._rollout = rollout.Rollout(nthread=num_threads)
         self._data = [mujoco.MjData(models[0]) for _ in range(num_threads)]
+
+    def assign(self, worlds: np.ndarray, models: np.ndarray) -> bool:
+        """Give worlds other models; see ``Physics``."""
+        for world, model in zip(worlds, models, strict=True):
+            self._models[world] = self._choice[model]
+        return True
 
     def step(self, state: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Advance all worlds; see ``Physics``."""

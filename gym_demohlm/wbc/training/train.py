@@ -7,6 +7,7 @@ With ``--device cuda`` one process steps many more worlds and learns from them o
 
 import json
 import os
+import shutil
 import signal
 import tempfile
 import time
@@ -20,14 +21,17 @@ import torch.distributed as dist
 from rsl_rl.runners import OnPolicyRunner
 from torch.multiprocessing.spawn import ProcessContext, start_processes
 
+from gym_demohlm.control import features
 from gym_demohlm.errors import SceneError
-from gym_demohlm.wbc.training.export import export_weights
+from gym_demohlm.wbc.training.export import export_weights, import_weights
 from gym_demohlm.wbc.training.mirror_model import MirrorModel
 from gym_demohlm.wbc.training.train_config import TrainConfig, ppo_config
 from gym_demohlm.wbc.training.vec_env import MdpVecEnv
 
 _SMALLEST_LOG_NOISE = -2.5
 POLISHING_NOISE = 0.12
+_QUIET_JOINTS = np.array([0.5 if "hip_yaw" in joint else 1.0 for joint in features.DRIVEN_JOINTS])  # share of the noise
+_CRITIC_RATE = 1e-3  # learning rate of a critic that begins after the actor
 
 
 @dataclass
@@ -93,9 +97,12 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         saved = torch.load(output / "checkpoint.pt", weights_only=True, map_location=config.device)
         runner.alg.load(saved, None, True)
         progress = Progress(**saved["progress"])
-    elif meeting:
-        runner.alg.broadcast_parameters()
-    if not config.curriculum:
+    else:
+        if config.warm_start is not None:
+            import_weights(runner.alg.get_policy(), config.warm_start)
+        if meeting:
+            runner.alg.broadcast_parameters()
+    if not config.curriculum or config.warm_start is not None:
         progress.level = progress.push_level = 1.0
     env.mdp.level, env.mdp.push_level = progress.level, progress.push_level
     runner.alg.train_mode()
@@ -108,7 +115,10 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
     end = time.monotonic() + 3600 * hours
     most_steps = config.max_steps or np.inf
     while not _any(bool(stopping) or time.monotonic() > end) and progress.steps < most_steps:
+        _warm_up(runner, config, progress.iteration)
         statistics = _iterate(runner, env, config)
+        if config.warm_start is not None and progress.iteration == 0:
+            _set_value(runner, statistics["reward"])
         progress.iteration += 1
         progress.steps += config.steps_per_iteration * env.num_envs * config.num_processes
         progress.seconds = time.monotonic() - start
@@ -125,6 +135,28 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         _save(runner, env, output, progress, config)
     if meeting:
         dist.destroy_process_group()
+
+
+def _warm_up(runner: OnPolicyRunner, config: TrainConfig, iteration: int) -> None:
+    """Let the critic alone learn, quickly, in the first iterations after a warm start."""
+    if config.warm_start is None or iteration > config.warm_up:
+        return
+    critic_alone = iteration < config.warm_up
+    runner.alg.get_policy().requires_grad_(not critic_alone)
+    rate = _CRITIC_RATE if critic_alone else config.warm_rate
+    runner.alg.learning_rate = rate
+    for group in runner.alg.optimizer.param_groups:
+        group["lr"] = rate  # whatever the bounds of the adaptive one
+
+
+def _set_value(runner: OnPolicyRunner, reward: float) -> None:
+    """Let a fresh critic begin at the value of a reward that goes on for ever, which it is slow to climb to."""
+    mean = torch.tensor(reward)
+    if dist.is_initialized():
+        dist.all_reduce(mean)
+        mean /= dist.get_world_size()
+    with torch.no_grad():
+        cast(Any, runner.alg.critic).mlp[-1].bias.fill_(float(mean) / (1 - runner.alg.gamma))
 
 
 def _any(flag: bool) -> bool:
@@ -167,7 +199,8 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dic
     with torch.inference_mode():
         for model in (runner.alg.actor, runner.alg.critic):
             cast(MirrorModel, model).renew_normalization()
-        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE, np.log(config.largest_noise))
+        largest = torch.from_numpy(np.log(config.largest_noise * _QUIET_JOINTS)).to(_log_noise(runner))
+        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE).clamp_(max=largest)
     tracking = {f"error/{name}": value for name, value in env.mdp.tracking.items()}
     terms = {f"reward/{name}": value for name, value in env.mdp.terms.items()}
     return {
@@ -222,4 +255,7 @@ def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progre
     torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
     partial.replace(output / "checkpoint.pt")
     facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
-    export_weights(runner.alg.get_policy(), env.mdp.reference, output / "weights.npz", facts)
+    settings = config.mdp.settings
+    export_weights(runner.alg.get_policy(), env.mdp.reference, settings, output / "weights.npz", facts)
+    if progress.iteration % config.keep_every == 0:
+        shutil.copy(output / "weights.npz", output / f"weights_{progress.steps}.npz")

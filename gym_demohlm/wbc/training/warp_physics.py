@@ -56,6 +56,10 @@ class WarpPhysics:
             wp.copy(self._data.ctrl, control)
             mjw.step(self._model, self._data)
 
+    def assign(self, worlds: np.ndarray, models: np.ndarray) -> bool:
+        """Keep every world's model: they are laid out on the device once; see ``Physics``."""
+        return False
+
     def step(self, state: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Advance all worlds; see ``Physics``."""
         data, position_end = self._data, 1 + self._nq

@@ -18,7 +18,7 @@ class Options:
         rounds: Random targets a robot, standing and walking each.
         step: Grid of the map [m].
         seed: Seed of the targets.
-        weights: Other weights of the controller.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
         num_threads: Threads of the physics.
     """
 
@@ -27,16 +27,19 @@ class Options:
     rounds: int = 4
     step: float = 0.1
     seed: int = 0
-    weights: Annotated[Path | None, default("the packaged ones")] = None
+    controller: str = "default"
     num_threads: int = 2
 
 
 def run(options: Options) -> None:
     """Measure; the last line on stdout is the result as JSON."""
+    from gym_demohlm.control import controllers
     from gym_demohlm.wbc.evaluation.reach import hand_error, measure_map
     from gym_demohlm.wbc.evaluation.trial import trial_simulation
 
-    simulation = trial_simulation(options.num_worlds, num_threads=options.num_threads, weights=options.weights)
+    simulation = trial_simulation(
+        options.num_worlds, num_threads=options.num_threads, weights=controllers.find(options.controller)
+    )
     found: dict[str, object] = {**hand_error(simulation, options.seed, options.rounds)}
     if options.output:
         found |= measure_map(simulation, options.step, options.output)

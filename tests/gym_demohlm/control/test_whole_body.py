@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gym_demohlm.control import arm_load, attitude, command, features, odometry, reference
 from gym_demohlm.control.proprioception import Proprioception
-from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FORMAT, WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
@@ -198,9 +198,14 @@ def test_odometry_finds_the_velocity_over_a_planted_foot() -> None:
             :2
         ]  # the pelvis must move so that the sole rests
         down = attitude.inv().apply([0.0, 0.0, -1.0])
-        found, tilt, height = odometry.estimate(down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18])
+        found, tilt, height, over_soles = odometry.estimate(
+            down[None], data.qvel[None, 3:6], legs[None], data.qvel[None, 6:18]
+        )
         assert height[0] == pytest.approx(data.qpos[2] - data.site("left_sole").xpos[2], abs=1e-9)
         np.testing.assert_allclose(found[0], expected, atol=1e-3)
+        middle = np.mean([data.site(f"{side}_sole").xpos for side in g1.SIDES], axis=0)
+        expected = Rotation.from_euler("z", -yaw).apply(data.qpos[:3] - middle)
+        np.testing.assert_allclose(over_soles[0], expected[:2], atol=1e-9)
         normal = data.site("left_sole").xmat.reshape(3, 3)[2, 2]
         assert tilt[0] == pytest.approx(np.arccos(normal), abs=1e-6)
 
@@ -211,7 +216,7 @@ def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
-    targets = pose(commands, np.full(7, 0.45), np.ones(7, dtype=bool), np.zeros((7, 2)), np.zeros((7, 2)))
+    targets = pose(commands, reference.at_rest(7), np.zeros((7, 2)), np.zeros((7, 2)))
     hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)
@@ -232,8 +237,8 @@ def test_aiming_further_by_the_sag_holds_the_height() -> None:
             mdp.reference.sag = lambda command, *_: np.zeros((len(command), reference.NUM_LOWER))  # type: ignore[method-assign]
         for _ in range(20):
             mdp.step(np.zeros((16, features.ACTION_SIZE)))
-        rests = mdp.standing
-        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.commands.current[rests, 3]).mean()
+        rests = mdp.now.clock.standing
+        errors[name] = np.abs(mdp.qpos[rests, 2] - mdp.now.slewed[rests, 3]).mean()
     assert errors["targets"] < 0.006
     assert errors["targets"] < 0.5 * errors["pose"]
 
@@ -249,7 +254,7 @@ def test_damaged_weights_are_a_clear_error(tmp_path: Path, content: bytes) -> No
 def test_weights_of_another_format_are_refused(tmp_path: Path) -> None:
     with np.load(DEFAULT_WEIGHTS) as arrays:
         loaded = dict(arrays)
-    text = loaded["metadata"].tobytes().replace(f'"format": {WEIGHTS_FORMAT}'.encode(), b'"format": 9')
+    text = loaded["metadata"].tobytes().replace(b'"format": 4', b'"format": 9')
     loaded["metadata"] = np.frombuffer(text, dtype=np.uint8)
     path = tmp_path / "weights.npz"
     np.savez(path, allow_pickle=False, **loaded)

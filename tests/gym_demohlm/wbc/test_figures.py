@@ -11,7 +11,7 @@ from PIL import Image
 from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT
-from gym_demohlm.wbc.evaluation import benchmark, figures, performance
+from gym_demohlm.wbc.evaluation import benchmark, figures, intervals, performance
 
 _SHORT = (
     performance.Scene(label="stand", seconds=0.4),
@@ -86,7 +86,7 @@ def test_push_survival_falls_with_the_speed(tmp_path: Path) -> None:
 
 
 def test_wilson_interval_holds_the_share() -> None:
-    low, high = figures._wilson(np.array([0.0, 0.5, 1.0]), 24)
+    low, high = intervals.wilson(np.array([0.0, 0.5, 1.0]), 24)
     assert np.all((low <= [0, 0.5, 1]) & (high >= [0, 0.5, 1]))
     assert high[0] == pytest.approx(0.138, abs=0.001)  # z^2 / (n + z^2)
     assert low[1] + high[1] == pytest.approx(1.0)

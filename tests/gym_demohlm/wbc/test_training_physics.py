@@ -118,7 +118,8 @@ def test_warp_agrees_with_rollout(models: list[mujoco.MjModel]) -> None:
 def test_mdp_is_the_same_on_warp(monkeypatch: pytest.MonkeyPatch) -> None:
     from gym_demohlm.wbc.training import mdp as module
 
-    monkeypatch.setattr(module, "training_model", lambda rng: _converge(training_model(rng)))
+    made = module.variants
+    monkeypatch.setattr(module, "variants", lambda *given: [replace(v, model=_converge(v.model)) for v in made(*given)])
     config = module.MdpConfig(num_worlds=12, num_variants=3)
     plain, warp = module.WholeBodyMdp(config), module.WholeBodyMdp(replace(config, warp_device="cpu"))
     for tick in range(4):
@@ -171,16 +172,16 @@ def test_configurations_of_cpu_and_gpu_share_the_mdp() -> None:
 def test_commands_at_which_robots_fell_come_back_with_the_one_before() -> None:
     from gym_demohlm.wbc.training.commands import CommandSampler
 
-    sampler, standing = CommandSampler(64, np.random.default_rng(0)), np.ones(64, dtype=bool)
+    sampler = CommandSampler(64, np.random.default_rng(0))
     sampler.reset(np.arange(64), 1.0)
     for _ in range(301):  # everyone has a second command
-        sampler.advance(1.0, standing)
+        sampler.advance(1.0)
     before, fell_at = sampler.previous[3].copy(), sampler.goal[3].copy()
     sampler.remember(np.array([3]))
     practised = 0
     for _ in range(3000):
         was = sampler.goal.copy()
-        sampler.advance(1.0, standing)
+        sampler.advance(1.0)
         again = (was != sampler.goal).any(axis=1) & (sampler.goal == fell_at).all(axis=1)
         practised += again.sum()
         assert (was[again] == before).all()

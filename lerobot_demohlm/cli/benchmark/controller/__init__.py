@@ -1,12 +1,9 @@
 """``demohlm benchmark controller``; the files beside this one own ``demohlm benchmark controller PART``."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
 from gym_demohlm.wbc.evaluation.benchmark import LARGEST_HAND_LOAD
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
-from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.cli.printing import print_json
 
 
@@ -21,7 +18,7 @@ class Size:
         num_threads: Threads of the physics.
     """
 
-    num_worlds: int = 256
+    num_worlds: int = 624
     seconds: float = 20.0
     seed: int = 0
     num_threads: int = 2
@@ -57,21 +54,27 @@ class Options(Commands):
     """Options of ``demohlm benchmark controller``.
 
     Attributes:
-        weights: Other weights of the controller.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
+        num_seeds: Seeds that share the robots.
         velocity_only: Upright, arms still: what velocity policies are asked for.
     """
 
-    weights: Annotated[Path | None, default("the packaged ones")] = None
+    controller: str = "default"
+    num_seeds: int = 3
     velocity_only: bool = False
 
 
 def run(options: Options) -> None:
     """Measure; the last line on stdout is the result as JSON."""
+    from gym_demohlm.control import controllers
     from gym_demohlm.wbc.evaluation.benchmark import benchmark, hand_error
 
+    weights = controllers.find(options.controller)
     ranges = options.ranges.velocity_only() if options.velocity_only else options.ranges
-    found = benchmark(*options.numbers, ranges, options.weights, largest_hand_load=options.hand_load)
+    found = benchmark(
+        *options.numbers, ranges, weights, num_seeds=options.num_seeds, largest_hand_load=options.hand_load
+    )
     found["velocity_only"] = options.velocity_only
     if not options.velocity_only:
-        found |= hand_error(options.num_worlds, options.seed, options.num_threads, options.weights)
+        found |= hand_error(options.num_worlds, options.seed, options.num_threads, weights)
     print_json(found)

@@ -14,14 +14,14 @@ class Options:
 
     Attributes:
         root: Folder for figures and video.
-        weights: Other weights of the controller.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
         run: Folder of a training run, whose learning curve is drawn.
         seed: Seed of the pushes.
         num_threads: Threads of the physics.
     """
 
     root: Path
-    weights: Annotated[Path | None, default("the packaged ones")] = None
+    controller: str = "default"
     run: Annotated[Path | None, default("no learning curve")] = None
     seed: int = 0
     num_threads: int = 2
@@ -29,6 +29,7 @@ class Options:
 
 def run(options: Options) -> None:
     """Draw; the last line on stdout is the names of the files and the numbers behind them as JSON."""
+    from gym_demohlm.control import controllers
     from gym_demohlm.wbc.evaluation.figures import draw
 
-    print_json(draw(options.root, options.weights, options.run, options.seed, options.num_threads))
+    print_json(draw(options.root, controllers.find(options.controller), options.run, options.seed, options.num_threads))

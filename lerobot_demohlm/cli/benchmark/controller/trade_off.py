@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from lerobot_demohlm.cli.benchmark.controller import Size
-from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.cli.printing import print_json
 
 
@@ -15,18 +13,19 @@ class Options(Size):
 
     Attributes:
         root: Folder for the drawing, controller_trade_off.png.
-        weights: Other weights of the controller.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
     """
 
     root: Path
-    weights: Annotated[Path | None, default("the packaged ones")] = None
+    controller: str = "default"
 
 
 def run(options: Options) -> None:
     """Measure and draw; the last line on stdout is the result as JSON."""
+    from gym_demohlm.control import controllers
     from gym_demohlm.wbc.evaluation.trade_off import draw_trade_off, trade_off
 
-    found = trade_off(*options.numbers, options.weights)
+    found = trade_off(*options.numbers, controllers.find(options.controller))
     options.root.mkdir(parents=True, exist_ok=True)
     draw_trade_off(found, options.root / "controller_trade_off.png")
     print_json(found)

@@ -1,0 +1,175 @@
+"""What a controller is besides its network: gait, slew, trim and gains, kept in the weights file and read from it.
+
+Defaults are those of the first controller, whose file says less; a new controller may differ in any of them.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.errors import SceneError
+from gym_demohlm.robot import g1
+
+NUM_TURN = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gait:
+    """The walking reference.
+
+    Attributes:
+        period_s: Time of two steps [s].
+        swing: Part of the period in which a foot is in the air; the right foot swings half a period after the left.
+        lift: Height of the sole at mid-swing [m].
+        sway: Amplitude of the lateral sway of the pelvis [m].
+        widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
+        placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
+        spread: How far each foot walks beside the middle [m]; a robot at rest stands with its feet under its hips.
+        swing_upright: Share of an unplanned tilt of the pelvis that the swinging leg makes up for, to land where it
+            would have landed without.
+        ankle_upright: How far the ankles of the bearing legs turn against an unplanned tilt of the pelvis [rad/rad].
+        ankle_damping_s: The same against its rate [rad per rad/s].
+        turn: What both hip yaws add while walking [rad]: the cosine and sine of the gait's first harmonic, those of its
+            third, then the same times the forward velocity [m/s]; the cosine and sine of its second times the sideways
+            velocity [m/s], then times the yaw rate [rad/s]. These alone are the same in a mirror.
+        capture: How far the capture point of a robot at rest may be ahead of, behind and beside where its weight
+            should be [m] before it steps; without it, it steps by its speed alone.
+    """
+
+    period_s: float = 0.64
+    swing: float = 0.4
+    lift: float = 0.06
+    sway: float = 0.025
+    widen: float = 0.06
+    placement_s: float = 0.12
+    spread: float = g1.HIP_SPREAD
+    swing_upright: float = 0.0
+    ankle_upright: float = 0.0
+    ankle_damping_s: float = 0.0
+    turn: tuple[float, ...] = (0.0,) * NUM_TURN
+    capture: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check what would divide by zero or index wrongly.
+
+        Raises:
+            SceneError: A period or swing out of range, or not NUM_TURN coefficients.
+        """
+        object.__setattr__(self, "turn", tuple(float(value) for value in self.turn))
+        if not (self.period_s > 0.1 and 0.05 < self.swing < 0.5 and len(self.turn) == NUM_TURN):
+            got = f"a gait of period {self.period_s} s, swing {self.swing}, {len(self.turn)} coefficients of turning"
+            raise SceneError(got, f"more than 0.1 s, 0.05 to 0.5, {NUM_TURN}", "check the file it was read from")
+
+    @property
+    def rest_phases(self) -> tuple[float, float]:
+        """Where the clock rests: just before a swing, where both feet are on the floor."""
+        return 0.5 * (0.5 + self.swing), 0.5 + 0.5 * (0.5 + self.swing)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trim:
+    """The slow correction of a command, see ``control.trim``.
+
+    Attributes:
+        rate: Error that is corrected in a second, as a share of what there is of it [1/s].
+        fade: Correction that is lost in a second where there is nothing to learn, as a share of it [1/s].
+        limits: Largest correction of yaw rate [rad/s]; torso height [m], roll, pitch and yaw [rad].
+    """
+
+    rate: float = 0.7
+    fade: float = 2.0
+    limits: tuple[float, float, float, float, float] = (0.25, 0.04, 0.08, 0.08, 0.08)
+
+
+UNTRIMMED = Trim(rate=0.0, limits=(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a controller is besides its network.
+
+    Attributes:
+        gait: The walking reference.
+        slew: Fastest change of the command's first seven numbers, per second.
+        trim: The slow correction.
+        stiffness: Position gains of the servos of ``g1.BODY_JOINTS`` [Nm/rad].
+        damping: Their velocity gains [Nms/rad].
+    """
+
+    gait: Gait = Gait()
+    slew: tuple[float, ...] = (1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5)
+    trim: Trim = Trim()
+    stiffness: tuple[float, ...] = tuple(g1.motor(joint).stiffness for joint in g1.BODY_JOINTS)
+    damping: tuple[float, ...] = tuple(g1.motor(joint).damping for joint in g1.BODY_JOINTS)
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the settings as JSON holds them: what ``read`` takes."""
+        return {
+            "gait": dict(vars(self.gait)),
+            "slew": list(self.slew),
+            "trim": dict(vars(self.trim)),
+            "stiffness": dict(zip(g1.BODY_JOINTS, self.stiffness, strict=True)),
+            "damping": dict(zip(g1.BODY_JOINTS, self.damping, strict=True)),
+        }
+
+    @classmethod
+    def read(cls, metadata: Mapping[str, Any]) -> "Settings":
+        """Return the settings in a weights file's metadata; what it does not mention is as it was at first.
+
+        Raises:
+            SceneError: A setting that is not known here, or numbers that are missing or too many.
+        """
+        found = cls(
+            gait=_read(Gait, metadata.get("gait", {}), "gait"),
+            slew=tuple(metadata.get("slew", cls.slew)),
+            trim=_read(Trim, metadata.get("trim", {}), "trim"),
+            stiffness=_of_joints(metadata.get("stiffness", {}), cls.stiffness),
+            damping=_of_joints(metadata.get("damping", {}), cls.damping),
+        )
+        numbers = (*found.slew, *found.trim.limits, *found.stiffness, *found.damping)
+        sizes = len(found.slew), len(found.trim.limits)
+        expected = len(cls.slew), len(cls.trim.limits)
+        if sizes != expected or not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
+            got = f"controller weights with a slew and a trim of {sizes} numbers, or some that are none"
+            raise SceneError(got, f"{expected}, finite", "export the weights again")
+        return found
+
+
+def read_gait(path: Path) -> Gait:
+    """Return the gait in a JSON file of ``Gait``'s settings.
+
+    Raises:
+        SceneError: The file is missing, is no JSON, or holds other settings.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path} ({error})", "a JSON file of gait settings", "check --gait") from error
+    return _read(Gait, content, "gait")
+
+
+def _of_joints(values: Mapping[str, float], default: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a number for each of ``g1.BODY_JOINTS``: of a mapping, or where it lacks one, as it was at first."""
+    return tuple(values.get(joint, first) for joint, first in zip(g1.BODY_JOINTS, default, strict=True))
+
+
+def _read[T](kind: type[T], values: Mapping[str, Any], name: str) -> T:
+    """Build a dataclass from what JSON holds, lists as tuples."""
+    known = {entry.name for entry in fields(kind)}  # type: ignore[arg-type]
+    if unknown := set(values) - known:
+        raise SceneError(
+            f"controller weights with the {name} settings {sorted(unknown)}",
+            f"settings among {sorted(known)}",
+            "install the version that they were exported with",
+        )
+    try:
+        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+    except TypeError as error:
+        raise SceneError(
+            f"controller weights with {name} settings that cannot be read ({error})",
+            "numbers",
+            "export the weights again",
+        ) from error
