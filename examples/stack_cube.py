@@ -150,7 +150,7 @@ register_script(TASK, Script(start=START, make_operator=make_operator))
 def main(directory: Path, num_attempts: int = 8) -> None:
     """Record the demonstration, generate attempts in R1 and R3, and print how many succeeded."""
     demonstration = directory / "demonstration"
-    record(TASK, make_operator(), START).save(demonstration)
+    record(TASK, make_operator(), START).save(demonstration, TASK)
     for region in ("R1", "R3"):
         summary = generate(
             GenerationRequest(

@@ -96,7 +96,8 @@ def run(quickstart: Quickstart) -> Path:
     dataset_root = quickstart.root / "dataset"
 
     with _step(durations, 1, f"Generating {quickstart.num_episodes} episodes from one demonstration"):
-        from lerobot_demohlm.generation.runner import GenerationRequest, generate
+        from lerobot_demohlm.generation.request import GenerationRequest
+        from lerobot_demohlm.generation.runner import generate
 
         summary = generate(
             GenerationRequest(
