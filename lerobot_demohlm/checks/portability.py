@@ -134,7 +134,7 @@ def _poses() -> Iterable[bytes]:
         here, goal = poses.to_planar(a), poses.to_planar(b)
         yield walk_velocity(here, velocity, goal, settings).tobytes()
     motion = poses.invert(T[0]) @ T[1]
-    yield motion.tobytes() + poses.transform(motion, points).tobytes() + poses.interpolate(*T, 0.3).tobytes()
+    yield motion.tobytes() + poses.transform(motion, points).tobytes() + poses.interpolate(T[0], T[1], 0.3).tobytes()
     yield poses.rpy(motion[:, :3, :3]).tobytes() + np.concatenate(poses.split(motion), axis=-1).tobytes()
 
 
