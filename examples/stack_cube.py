@@ -24,8 +24,9 @@ from lerobot_demohlm.teleop.record import Script, record, register_script
 TABLE_RADIUS, TABLE_HEIGHT = 0.18, 0.75  # m
 RED_EDGE, RED_MASS = 0.05, 0.10  # m, kg
 BLUE_EDGE, BLUE_MASS = 0.06, 0.25  # m, kg
-BLUE_POSITION = (0.35, 0.0, TABLE_HEIGHT + BLUE_EDGE / 2)
-RED_POSITION = (0.35, -0.11, TABLE_HEIGHT + RED_EDGE / 2)
+GAP = 1e-4  # m, cubes begin so far above the table: faces exactly in one plane can give MuJoCo's collider a false depth
+BLUE_POSITION = (0.35, 0.0, TABLE_HEIGHT + BLUE_EDGE / 2 + GAP)
+RED_POSITION = (0.35, -0.11, TABLE_HEIGHT + RED_EDGE / 2 + GAP)
 STACKED = (RED_EDGE + BLUE_EDGE) / 2  # m, the red cube's centre above the blue one's
 LEVEL = 0.006  # m, how well that height must fit
 OVER = 0.025  # m, the red cube's centre from the blue one's seen from above
@@ -150,7 +151,7 @@ register_script(TASK, Script(start=START, make_operator=make_operator))
 def main(directory: Path, num_attempts: int = 8) -> None:
     """Record the demonstration, generate attempts in R1 and R3, and print how many succeeded."""
     demonstration = directory / "demonstration"
-    record(TASK, make_operator(), START).save(demonstration)
+    record(TASK, make_operator(), START).save(demonstration, TASK)
     for region in ("R1", "R3"):
         summary = generate(
             GenerationRequest(

@@ -7,12 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+PROGRAMS = Path(sys.executable).parent  # those of this Python, also where its environment is not activated
+
 
 def main(dataset: Path, directory: Path, steps: int = 2000, episodes: int = 10) -> None:
     """Train on a dataset of LiftBox, then score the last checkpoint on new initial states."""
     subprocess.run(
         [
-            "lerobot-train",
+            PROGRAMS / "lerobot-train",
             "--policy.type=chunked_mlp",
             "--policy.device=cpu",
             "--policy.push_to_hub=false",
@@ -30,7 +32,7 @@ def main(dataset: Path, directory: Path, steps: int = 2000, episodes: int = 10) 
     checkpoint = directory / "train" / "checkpoints" / "last" / "pretrained_model"
     subprocess.run(
         [
-            "lerobot-eval",
+            PROGRAMS / "lerobot-eval",
             f"--policy.path={checkpoint}",
             "--policy.device=cpu",
             "--env.type=demohlm",

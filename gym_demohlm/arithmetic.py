@@ -3,7 +3,8 @@
 NumPy and OpenBLAS choose their code by the processor. What they choose rounds the same way almost everywhere: sums,
 element by element arithmetic, square roots, sines and cosines, products of 3x3 and 4x4 matrices. The exceptions are
 
-- products that OpenBLAS adds up in an order of its own: larger matrices, and the dot product even of two 3-vectors;
+- products that OpenBLAS adds up in an order of its own: larger matrices, the dot product even of two 3-vectors, and a
+  transposed matrix times a vector;
 - factorisations built on them (``np.linalg.solve``, ``eigh``);
 - ``exp``, ``arctan``, ``arctan2``, ``arcsin``, ``arccos``, ``power``, which NumPy takes from another library where the
   processor has AVX-512.
@@ -97,6 +98,11 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def norm(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths of vectors, (..., n) -> (...)."""
     return np.sqrt(dot(vectors, vectors))
+
+
+def transposed_product(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return ``A.T @ b``, (..., n, m) and (..., n) -> (..., m)."""
+    return (A * b[..., None]).sum(axis=-2)
 
 
 def least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:

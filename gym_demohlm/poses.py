@@ -7,7 +7,7 @@ A pose ``T_a_b`` of frame b in frame a is a float64 array (..., 4, 4); leading d
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gym_demohlm.arithmetic import arctan2, hypot
+from gym_demohlm.arithmetic import arctan2, hypot, transposed_product
 
 _TINY = 1e-12  # below this angle [rad] or length, a limit replaces a quotient
 
@@ -37,8 +37,8 @@ def split(T: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 def invert(T: ArrayLike) -> np.ndarray:
     """Return the inverse pose, ``T_b_a`` of ``T_a_b``."""
     T = np.asarray(T, dtype=np.float64)
-    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
-    return from_rotation(R_transposed, -(R_transposed @ T[..., :3, 3:])[..., 0])
+    R = T[..., :3, :3]
+    return from_rotation(np.swapaxes(R, -1, -2), -transposed_product(R, T[..., :3, 3]))
 
 
 def transform(T: ArrayLike, points: ArrayLike) -> np.ndarray:

@@ -143,7 +143,8 @@ def test_circles_are_found() -> None:
 
 def test_arrows_are_found() -> None:
     assert Arrow("lerobot_demohlm.checks.doctor", "gym_demohlm.envs.rendering", True) in ARROWS
-    assert Arrow("lerobot_demohlm.checks.doctor", "lerobot_demohlm.checks.portability", False) in ARROWS
+    assert Arrow("lerobot_demohlm.checks.doctor", "lerobot_demohlm.checks.portability", True) in ARROWS
+    assert Arrow("lerobot_demohlm.checks.verify", "lerobot_demohlm.checks.repetition", False) in ARROWS
     assert not any(arrow.source == "gym_demohlm.errors" for arrow in ARROWS)
 
 

@@ -116,6 +116,9 @@ def test_small_numbers() -> None:
     assert small(["lerobot-eval", "--eval.n_episodes=50"]) == ["lerobot-eval", "--eval.n_episodes=2"]
     assert small(["uv", "run", "demohlm", "train"]) == ["demohlm", "train", "--steps", "4"]
     assert small(["pip", "install", "uv"]) == ["true"]
+    ablation = ["demohlm", "verb", "--variants", "plain", "noise", "starts", "--seeds", "0"]
+    assert small(ablation) == ["demohlm", "verb", "--variants", "plain", "noise", "--seeds", "0"]
+    assert small(ablation[:4]) == ablation[:4]
     assert small(["lerobot-train", "--steps=9"]) == ["lerobot-train", "--steps=4"]
 
 
@@ -130,6 +133,5 @@ def test_commands_run(page: Path, tmp_path: Path) -> None:
     (work / "examples").symlink_to(REPOSITORY / "examples")
     environment = documented.install_stand_ins(tmp_path / "bin")
     done = subprocess.run(["bash", "-e"], input=code, cwd=work, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, "\n".join(
-        line for line in done.stderr.splitlines() if re.match(r"\$ |error|\w*Error", line)
-    )
+    said = [line for line in done.stderr.splitlines() if re.match(r"\$ |error|\w*Error", line)]
+    assert done.returncode == 0, "\n".join([*said, *done.stdout.splitlines()[-40:]])

@@ -36,4 +36,4 @@ def save_demonstration(root: Path) -> None:
     """Write the task's demonstration."""
     lift_box = demonstration.load(task=LIFT_BOX)
     metadata = lift_box.metadata | {"task": TASK.name}
-    dataclasses.replace(lift_box, task=TASK.name, metadata=metadata).save(root)
+    dataclasses.replace(lift_box, task=TASK.name, metadata=metadata).save(root, TASK)

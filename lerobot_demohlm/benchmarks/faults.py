@@ -28,8 +28,8 @@ from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.benchmarks import brief_task
 from lerobot_demohlm.datasets.facts import GenerationFacts
 from lerobot_demohlm.demonstrations import demonstration
+from lerobot_demohlm.generation.request import BLOCK_SIZE
 from lerobot_demohlm.generation.run import GenerationRun, partial_directory
-from lerobot_demohlm.generation.runner import BLOCK_SIZE
 
 CLOCK = """
 import random, time

@@ -19,7 +19,7 @@ from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.runner import BLOCK_SIZE
+from lerobot_demohlm.generation.request import BLOCK_SIZE
 from lerobot_demohlm.generation.stages import Settings
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_demohlm.benchmarks.faults import digest
-from lerobot_demohlm.generation.runner import Backend, GenerationRequest, generate
+from lerobot_demohlm.generation.request import Backend, GenerationRequest
+from lerobot_demohlm.generation.runner import generate
 
 
 def measure(task: str, region: str, num_attempts: int, settings: list[tuple[Backend, int]]) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError, SceneError
 from gym_demohlm.registry import all_tasks, get_task
-from lerobot_demohlm.checks import portability
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.results import append_result
 
@@ -127,6 +126,8 @@ def cores() -> int:
 
 def compare(tasks: bool = False) -> list[Digest]:
     """Return this machine's digests beside the packaged ones: of the parts, and of the tasks if asked for."""
+    from lerobot_demohlm.checks import portability  # loads inverse kinematics, which `--help` does not need
+
     packaged = portability.packaged()
     here = portability.parts()
     found = [Digest(name=name, packaged=value, here=here[name]) for name, value in packaged["parts"].items()]
@@ -269,6 +270,8 @@ def write_digests(path: Path) -> None:
     Raises:
         DatasetError: The file cannot be written.
     """
+    from lerobot_demohlm.checks import portability
+
     known = portability.packaged()["tasks"]
     content = {
         "versions": provenance.bit_versions(),
@@ -287,6 +290,8 @@ def run(options: DoctorOptions) -> int:
     Returns:
         Exit code: 0 if nothing is wrong, else 1. Remarks are not wrong.
     """
+    from lerobot_demohlm.checks import portability
+
     found = processor()
     print(f"processor: {found['maker']} {found['model']}, {found['kind']}, {' '.join(found['features']) or 'no AVX2'}")
     print(f"cores: {found['cores']} usable")

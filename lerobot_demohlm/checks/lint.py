@@ -25,8 +25,6 @@ from gym_demohlm.timing import HOLD_S, HOLD_STEPS, PHYSICS_DT, STEP_DT
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
-from lerobot_demohlm.generation import stages
-from lerobot_demohlm.generation.attempt import Attempts
 
 ALL = "all"
 REPLAYS_TOGETHER = 8  # side by side
@@ -224,6 +222,9 @@ def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check
 
 def _check_replays(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
     """Replay the demonstration from other starts, as a generation run of that seed without noise does."""
+    from lerobot_demohlm.generation import stages
+    from lerobot_demohlm.generation.attempt import Attempts
+
     count, region = settings.num_episodes, list(task.regions)[-1]
     sim, broken = Simulation(task, min(count, REPLAYS_TOGETHER)), 0
     watch = OverlapWatch(sim)

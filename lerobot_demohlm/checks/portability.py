@@ -1,8 +1,9 @@
 """The code as it is -> digests of what it computes: equal on every processor, and changed by whatever changes results.
 
-``parts`` digests the controller, inverse kinematics, the physics and one whole attempt, each on its own, so that a
-difference names where it comes from. ``behaviour`` digests what generation does with a task: the stamp of results.
-The digests that this version of the code has are in ``digests.json``, with the versions of the libraries.
+``parts`` digests poses and walks along them, the controller, inverse kinematics, the physics and one whole attempt,
+each on its own, so that a difference names where it comes from. ``behaviour`` digests what generation does with a task:
+the stamp of results. The digests that this version of the code has are in ``digests.json``, with the versions of the
+libraries.
 """
 
 import functools
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.control.proprioception import Proprioception
@@ -25,11 +27,12 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import GENERATION_STREAM, Attempts
+from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk_velocity
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import provenance
 
 PACKAGED = Path(__file__).parent / "digests.json"
-_TICKS, _WORLDS, _SOLUTIONS, _STEPS = 60, 5, 40, 10
+_POSES, _TICKS, _WORLDS, _SOLUTIONS, _STEPS = 200, 60, 5, 40, 10
 _PROBE = "LiftBox"  # the task of the parts
 _ATTEMPTS = 2  # of a behaviour
 
@@ -37,6 +40,7 @@ _ATTEMPTS = 2  # of a behaviour
 def parts() -> dict[str, str]:
     """Return the digest of each part of the pipeline, by name, in the order in which the parts build on each other."""
     makers: dict[str, Callable[[], Iterable[bytes]]] = {
+        "poses": _poses,
         "controller": _controller,
         "inverse kinematics": _inverse_kinematics,
         "physics": _physics,
@@ -114,6 +118,24 @@ def _sensed(rng: np.random.Generator, count: int) -> Proprioception:
         q=g1.HOME + rng.uniform(-0.2, 0.2, (count, joints)),
         dq=rng.uniform(-1, 1, (count, joints)),
     )
+
+
+def _poses() -> Iterable[bytes]:
+    """Yield made-up poses in every way in which they are combined, one by one and together, and walks along them."""
+    rng = np.random.default_rng(4)
+    T = poses.from_rotation(
+        poses.rotation_from_rpy(rng.uniform(-3, 3, (2, _POSES, 3))), rng.normal(size=(2, _POSES, 3))
+    )
+    points, velocities = rng.normal(size=(_POSES, 3)), rng.uniform(-0.5, 0.5, (_POSES, 3))
+    settings = LocomotionSettings()
+    for a, b, point, velocity in zip(*T, points, velocities, strict=True):
+        motion = poses.invert(a) @ b
+        yield motion.tobytes() + poses.transform(motion, point).tobytes() + poses.interpolate(a, b, 0.3).tobytes()
+        here, goal = poses.to_planar(a), poses.to_planar(b)
+        yield walk_velocity(here, velocity, goal, settings).tobytes()
+    motion = poses.invert(T[0]) @ T[1]
+    yield motion.tobytes() + poses.transform(motion, points).tobytes() + poses.interpolate(T[0], T[1], 0.3).tobytes()
+    yield poses.rpy(motion[:, :3, :3]).tobytes() + np.concatenate(poses.split(motion), axis=-1).tobytes()
 
 
 def _controller() -> Iterable[bytes]:

@@ -10,7 +10,7 @@ import tyro
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.datasets.variation import DataVariation
-from lerobot_demohlm.generation.runner import BLOCK_SIZE, GenerationRequest, generate, summary_json
+from lerobot_demohlm.generation.request import BLOCK_SIZE, GenerationRequest, summary_json
 
 _TARGET = tyro.conf.create_mutex_group(required=True, title="how many")
 
@@ -43,4 +43,6 @@ class Options(GenerationRequest):
 
 def run(options: Options) -> None:
     """Generate a dataset; the last line on stdout is the summary as JSON."""
+    from lerobot_demohlm.generation.runner import generate
+
     print(json.dumps(summary_json(generate(options))))

@@ -32,5 +32,5 @@ def run(options: Options) -> None:
         raise DemonstrationError(f"the root {options.root}, which exists", "a new path", "choose another --root")
     script = script_of(task)
     demonstration = record(task, script.make_operator(), script.start)
-    demonstration.save(options.root)
+    demonstration.save(options.root, task)
     print(f"{options.root}: {len(demonstration)} ticks by {demonstration.metadata['operator']}")

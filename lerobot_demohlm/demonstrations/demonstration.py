@@ -138,27 +138,32 @@ class Demonstration:
             digest.update(array.tobytes())
         return digest.hexdigest()
 
-    def save(self, root: Path) -> None:
+    def save(self, root: Path, task: Task) -> None:
         """Write the demonstration; nothing is left behind where it fails.
 
+        Args:
+            root: Directory to write; must not exist.
+            task: What it is of; names the objects and contact pairs of the columns.
+
         Raises:
-            DemonstrationError: The root exists.
+            DemonstrationError: The root exists, or it is of another task.
         """
         root = Path(root)
+        if task.name != self.task:
+            raise DemonstrationError(f"the task {task.name}", f"{self.task}, which was recorded", "give that task")
         if root.exists():
             raise DemonstrationError(f"the root {root}, which exists", "a new path", "choose another --root")
         temporary = root.with_name(f".{root.name}.partial")
         shutil.rmtree(temporary, ignore_errors=True)
         try:
-            self._write(temporary)
+            self._write(temporary, task)
             temporary.rename(root)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
-    def _write(self, root: Path) -> None:
+    def _write(self, root: Path, task: Task) -> None:
         from lerobot.datasets import LeRobotDataset
 
-        task = get_task(self.task)
         features = _features(task)
         with _quiet():
             dataset = LeRobotDataset.create(

@@ -18,7 +18,8 @@ from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
-from lerobot_demohlm.generation.runner import GenerationRequest, generate
+from lerobot_demohlm.generation.request import GenerationRequest
+from lerobot_demohlm.generation.runner import generate
 from lerobot_demohlm.policies.presets import get_preset
 from lerobot_demohlm.policies.training import checkpoint, train
 from lerobot_demohlm.reproducibility.run_lock import RunLock

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.arithmetic import dot, norm
+from gym_demohlm.arithmetic import dot, norm, transposed_product
 from gym_demohlm.control import command, reference
 from gym_demohlm.timing import STEP_DT
 
@@ -176,7 +176,7 @@ def walk_velocity(
     hold += settings.standoff_yaw * max(0.0, abs(turn) - 0.1)
     offset = offset - min(hold, settings.max_standoff) * ahead
     R = poses.planar(0.0, 0.0, here[2])[:2, :2]
-    linear = R.T @ (settings.position_gain * offset - settings.damping * velocity[:2])
+    linear = transposed_product(R, settings.position_gain * offset - settings.damping * velocity[:2])
     angular = settings.yaw_gain * turn - settings.damping * velocity[2]
     wanted = np.append(linear, angular) + (0.0 if bias is None else bias)
     forward, backward, side, yaw_rate = settings.max_velocity

@@ -11,9 +11,8 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 from tqdm import tqdm
 
@@ -21,89 +20,18 @@ from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions
-from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
+from lerobot_demohlm.generation.request import GenerationRequest, GenerationSummary
 from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.reproducibility import provenance
 
-BLOCK_SIZE = 32  # attempts a block: worlds that share the cost of a tick, and what a kill loses of each worker
 MAX_DEATHS = 3  # of workers at one block, before the run gives up
-Backend = Literal["processes", "ray"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GenerationRequest:
-    """What to generate.
-
-    Attributes:
-        task: Name of the task.
-        region: Initial region.
-        seed: Attempt i is a function of this seed, the region, the demonstration, the variation and i.
-        root: Directory of the dataset; it must not exist.
-        num_episodes: Stop at this many successes; None where ``num_attempts`` is given.
-        num_attempts: Make exactly this many attempts; None where ``num_episodes`` is given.
-        num_workers: Number of blocks that are made at the same time.
-        backend: Where attempts run: in local processes or on a Ray cluster.
-        resume: Refuse to begin a run; there must be one to resume. The same request resumes a run without this, too.
-        demonstration: Directory of the demonstration; the packaged one by default.
-        repo_id: Name of the dataset on the hub.
-        keep_failures: Whether failed attempts become a second dataset, ``<root>-failures``.
-        block_size: Attempts in a block: worlds that are stepped together, and what a kill loses of each worker.
-        variation: How attempts differ from plain ones. By default their commands carry noise, as policies learn best
-            from such data.
-        show_progress: Draw a progress bar on stderr.
-    """
-
-    task: str
-    region: str
-    seed: int
-    root: Path
-    num_episodes: int | None = None
-    num_attempts: int | None = None
-    num_workers: int = 1
-    backend: Backend = "processes"
-    resume: bool = False
-    demonstration: Path | None = None
-    repo_id: str | None = None
-    keep_failures: bool = False
-    block_size: int = BLOCK_SIZE
-    variation: DataVariation = field(default_factory=DataVariation)
-    show_progress: bool = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class GenerationSummary:
-    """What came out; failures are counted, never skipped.
-
-    Attributes:
-        task: Name of the task.
-        region: Initial region.
-        seed: Seed of the run.
-        attempts: Number of attempts made.
-        successes: Episodes in the dataset.
-        success_rate: successes / attempts.
-        outcomes: Attempts by outcome.
-        variation: How attempts differ from plain ones, as requested.
-        first_try_successes: Attempts that succeeded without a retry.
-        episodes_per_hour: Successes per hour of this call; blocks that were on disk before it are not counted.
-    """
-
-    task: str
-    region: str
-    seed: int
-    attempts: int
-    successes: int
-    success_rate: float
-    outcomes: dict[str, int]
-    variation: DataVariation
-    first_try_successes: int
-    episodes_per_hour: float
 
 
 def generate(request: GenerationRequest) -> GenerationSummary:
@@ -274,12 +202,3 @@ class _Progress:
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
-
-
-def summary_json(summary: GenerationSummary) -> dict[str, Any]:
-    """Return the summary as the JSON object that ``demohlm generate`` prints, the knobs of the variation flat in it."""
-    content: dict[str, Any] = {}
-    for entry in fields(summary):
-        value = getattr(summary, entry.name)
-        content |= value.content() if isinstance(value, DataVariation) else {entry.name: value}
-    return content | {"success_rate": round(summary.success_rate, 4)}

@@ -6,7 +6,7 @@ else.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -208,6 +208,7 @@ def train_config(
     num_episodes: int | None = None,
     device: str = "cpu",
     batch_size: int | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> "TrainPipelineConfig":
     """Return what ``lerobot-train`` is to be given.
 
@@ -221,6 +222,7 @@ def train_config(
         num_episodes: Train on so many episodes from the first on; on all by default.
         device: Where it is trained.
         batch_size: Samples a step; the preset's by default.
+        options: Fields of the policy's configuration that replace the preset's.
 
     Raises:
         UnknownNameError: No such policy or preset.
@@ -231,6 +233,7 @@ def train_config(
     from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig
 
     chosen = get_preset(policy, preset)
+    chosen = replace(chosen, options={**chosen.options, **(options or {})})
     steps = chosen.steps if steps is None else steps
     if steps < 1 or (num_episodes is not None and num_episodes < 1):
         raise PolicyError(f"steps={steps}, num_episodes={num_episodes}", "1 or more", "correct them")

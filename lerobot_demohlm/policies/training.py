@@ -5,8 +5,9 @@ The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --co
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import require_new_root
@@ -35,6 +36,7 @@ def train(
     device: str = "cpu",
     num_threads: int = 1,
     batch_size: int | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Path:
     """Train a policy and return its last checkpoint.
 
@@ -50,6 +52,7 @@ def train(
         num_threads: Threads of torch. Two on two cores gain a third; where another process is busy, two are ten times
             slower than one.
         batch_size: Samples a step; the preset's by default.
+        options: Fields of the policy's configuration that replace the preset's.
 
     Raises:
         UnknownNameError: No such policy or preset.
@@ -67,6 +70,7 @@ def train(
         num_episodes=num_episodes,
         device=device,
         batch_size=batch_size,
+        options=options,
     )
     if num_episodes is not None:
         available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]

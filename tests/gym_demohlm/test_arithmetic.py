@@ -35,6 +35,13 @@ def test_norm_and_dot_are_numpys() -> None:
     np.testing.assert_allclose(arithmetic.hypot(vectors[..., 0], vectors[..., 1]), np.hypot(*vectors.T[:2]).T)
 
 
+def test_a_transposed_product_is_numpys() -> None:
+    rng = np.random.default_rng(3)
+    A, b = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 4))
+    expected = [matrix.T @ vector for matrix, vector in zip(A, b, strict=True)]
+    np.testing.assert_allclose(arithmetic.transposed_product(A, b), expected, rtol=1e-13, atol=1e-15)
+
+
 def test_least_squares_and_eigh_are_numpys() -> None:
     rng = np.random.default_rng(1)
     A, b = rng.normal(size=(30, 9)), rng.normal(size=30)

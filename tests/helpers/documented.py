@@ -24,6 +24,8 @@ SMALL = {
     "--eval.batch_size": "2",
 }
 """Options whose numbers make a command slow, and the numbers that tests put in their place."""
+LISTS = {"--variants": 2}
+"""Options whose values are a run each, and how many of the values tests keep."""
 ADDED = {
     "demohlm quickstart": {"--num-episodes": "3", "--steps": "4", "--num-rollouts": "2"},
     "demohlm train": {"--steps": "4"},
@@ -94,6 +96,11 @@ def small(argv: Sequence[str]) -> list[str]:
         elif words and words[-1] in SMALL:
             word = SMALL[words[-1]]
         words.append(word)
+    for option, most in LISTS.items():
+        if option in words:
+            first = words.index(option) + 1
+            end = next((place for place in range(first, len(words)) if words[place].startswith("-")), len(words))
+            del words[first + most : end]
     verb = " ".join(argv[:2]) if name == "demohlm" else name
     given = {word.partition("=")[0] for word in words}
     for option, value in ADDED.get(verb, {}).items():

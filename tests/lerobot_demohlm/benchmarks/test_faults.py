@@ -20,7 +20,7 @@ from gym_demohlm import registry
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm import cli
 from lerobot_demohlm.datasets import facts
-from lerobot_demohlm.generation import runner
+from lerobot_demohlm.generation import request, runner
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun, failures_root, partial_directory
 from tests.helpers.synthetic import make_episode, make_facts
@@ -212,13 +212,13 @@ def test_ctrl_c_says_what_is_kept(
         "--task",
         "LiftBox",
         "--num-attempts",
-        str(2 * runner.BLOCK_SIZE),
+        str(2 * request.BLOCK_SIZE),
         "--root",
         str(tmp_path / "data"),
     ]
     assert cli.main(command) == cli.INTERRUPTED
     last = capsys.readouterr().err.splitlines()[-1]
-    kept = f"{runner.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"
+    kept = f"{request.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"
     assert last.startswith(f"interrupted: {kept}; the same command")
     assert len(list((tmp_path / "data.partial" / "blocks").iterdir())) == 1
 
@@ -285,7 +285,7 @@ def test_no_attempt_is_there_twice(tmp_path: Path, begun: Path) -> None:
 
 @pytest.fixture(scope="module")
 def bench(faults: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=4 * runner.BLOCK_SIZE)
+    return faults.Bench(tmp_path_factory.mktemp("bench"), num_attempts=4 * request.BLOCK_SIZE)
 
 
 @pytest.mark.slow

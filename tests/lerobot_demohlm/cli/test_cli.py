@@ -26,7 +26,7 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 
 SURFACE = Path(__file__).with_name("surface.tsv")
 """Flags and defaults of version 0.1, before tyro, which scripts of users rely on."""
-HEAVY = ("torch", "lerobot", "datasets", "pyarrow", "matplotlib", "jinja2", "rsl_rl")
+HEAVY = ("torch", "lerobot", "datasets", "pyarrow", "matplotlib", "jinja2", "rsl_rl", "placo")
 GENERATE = ["generate", "--task", "LiftBox", "--region", "R1", "--num-attempts", "1"]
 
 

@@ -51,7 +51,7 @@ def test_it_succeeds_and_holds(demonstration: Demonstration) -> None:
 
 def test_save_and_load_keep_every_bit(demonstration: Demonstration, tmp_path: Path) -> None:
     root = tmp_path / "again"
-    demonstration.save(root)
+    demonstration.save(root, TASK)
     again = demonstrations.load(root, TASK)
     assert again.content_hash == demonstration.content_hash
     assert again.action.tobytes() == demonstration.action.tobytes()
@@ -160,8 +160,14 @@ def test_an_existing_root_is_left_alone(demonstration: Demonstration, tmp_path: 
     root = tmp_path / "taken"
     root.mkdir()
     with pytest.raises(DemonstrationError, match="exists"):
-        demonstration.save(root)
+        demonstration.save(root, TASK)
     assert list(root.iterdir()) == []
+
+
+def test_it_is_saved_as_of_its_own_task(demonstration: Demonstration, tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match="got the task PressCube; expected LiftBox"):
+        demonstration.save(tmp_path / "new", get_task("PressCube"))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_nothing_is_half_written(demonstration: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +176,7 @@ def test_nothing_is_half_written(demonstration: Demonstration, tmp_path: Path, m
 
     monkeypatch.setattr(np, "savez_compressed", fail)
     with pytest.raises(OSError, match="disk full"):
-        demonstration.save(tmp_path / "new")
+        demonstration.save(tmp_path / "new", TASK)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -221,7 +227,7 @@ def test_a_changed_hash_is_refused(copied: Path) -> None:
 
 def test_no_contact_is_refused(demonstration: Demonstration, tmp_path: Path) -> None:
     empty = dataclasses.replace(demonstration, contact_forces=np.zeros_like(demonstration.contact_forces))
-    empty.save(tmp_path / "empty")
+    empty.save(tmp_path / "empty", TASK)
     with pytest.raises(DemonstrationError, match="without contact"):
         demonstrations.load(tmp_path / "empty", TASK)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.experiments import lines, readme_tables
+from lerobot_demohlm.experiments import lines, measured_tables, readme_tables
 from lerobot_demohlm.experiments.lines import GenerationResult
 from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.reproducibility.results import append_result
@@ -43,7 +43,7 @@ def test_lines_become_tables_that_say_their_age(tmp_path: Path) -> None:
 
 
 def test_measurements_without_a_stamp_are_of_an_earlier_version(tmp_path: Path) -> None:
-    shares = {f"{name}_share": 0.2 for name in readme_tables._SHARES}
+    shares = {f"{name}_share": 0.2 for name in measured_tables.SHARES}
     values = {"task": "LiftBox", "region": "R3", "attempts": 8, "successes": 7, **shares}
     values |= {"seconds_per_episode": 1.5, "simulated_s_per_episode": 14.0}
     path = tmp_path / "generation_time.jsonl"
@@ -77,7 +77,7 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
 
 def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
     numbers = {"num_worlds": 8, "seconds": 20.0, "survival": 1.0, "survival_pushed": 0.5, "tick_share": 0.02}
-    errors = {key: 0.08 for key, *_ in readme_tables._CONTROLLER}
+    errors = {key: 0.08 for key, *_ in measured_tables.CONTROLLER}
     ours = {**numbers, **errors, "largest_roll": 0.4, "largest_yaw": 1.0, "largest_hand_load": 2.0}
     axes = {"forward": [-1.0, 1.0]}
     peer = {

@@ -25,8 +25,8 @@ from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.attempt import Attempt, Attempts, initial_state
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.command_noise import DEVIATIONS, LARGEST, LONGEST, SHARES, SHORTEST, bursts, disturbed
+from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.run import GenerationRun
-from lerobot_demohlm.generation.runner import GenerationRequest
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reports.explain import explain_attempt
 from tests.helpers.synthetic import make_facts

@@ -22,10 +22,11 @@ from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
-from lerobot_demohlm.generation import runner, stages
+from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.attempt import Attempts, attempt, initial_state
 from lerobot_demohlm.generation.locomotion import LocomotionSettings
-from lerobot_demohlm.generation.runner import GenerationRequest, generate
+from lerobot_demohlm.generation.request import BLOCK_SIZE, GenerationRequest, summary_json
+from lerobot_demohlm.generation.runner import generate
 
 TASK = get_task("LiftBox")
 PLAIN_SETTINGS = stages.Settings(variation=PLAIN)  # commands are executed as they are recorded
@@ -162,13 +163,13 @@ def test_the_dataset_does_not_depend_on_the_number_of_workers(tmp_path: Path) ->
     assert sum(first.outcomes.values()) == 5
     assert first.outcomes.keys() == set(OUTCOMES)
     assert first.success_rate == first.successes / 5
-    assert json.loads(json.dumps(runner.summary_json(first)))["task"] == "LiftBox"
+    assert json.loads(json.dumps(summary_json(first)))["task"] == "LiftBox"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["w1", "w2", "w5"]
 
 
 @pytest.mark.slow
 def test_a_killed_run_resumes_into_the_same_dataset(tmp_path: Path) -> None:
-    num_attempts = runner.BLOCK_SIZE + 4  # a block that is soon there, and one that is not
+    num_attempts = BLOCK_SIZE + 4  # a block that is soon there, and one that is not
     command = [
         *(sys.executable, "-m", "lerobot_demohlm.cli", "generate", "--task", "LiftBox", "--region", "R1"),
         *("--seed", "3", "--num-attempts", str(num_attempts), "--num-workers", "2", "--root", str(tmp_path / "killed")),
@@ -186,7 +187,7 @@ def test_a_killed_run_resumes_into_the_same_dataset(tmp_path: Path) -> None:
     finished = subprocess.run(command, capture_output=True, text=True, check=True)
     summary = json.loads(finished.stdout.splitlines()[-1])
     assert summary["attempts"] == num_attempts
-    options = {"num_attempts": num_attempts, "block_size": runner.BLOCK_SIZE, "num_workers": 2}
+    options = {"num_attempts": num_attempts, "block_size": BLOCK_SIZE, "num_workers": 2}
     whole = generate(request(tmp_path / "whole", **options))
     assert digest(tmp_path / "killed") == digest(tmp_path / "whole")
     assert summary["outcomes"] == whole.outcomes

@@ -15,8 +15,9 @@ import pytest
 
 from gym_demohlm import registry
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.run import partial_directory
-from lerobot_demohlm.generation.runner import GenerationRequest, generate
+from lerobot_demohlm.generation.runner import generate
 from tests.helpers import makes
 from tests.helpers.paths import REPOSITORY
 

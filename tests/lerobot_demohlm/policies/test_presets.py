@@ -111,6 +111,12 @@ def test_diffusion_measures_objects_by_deviations(name: str) -> None:
     torch.testing.assert_close(inputs[OBS_ENV_STATE], torch.tensor([[0.0], [1.0]]))
 
 
+def test_fields_of_the_preset_can_be_replaced(root: Path, tmp_path: Path) -> None:
+    config = train_config(root, tmp_path / "out", batch_size=7, options={"hidden_dims": [16]})
+    assert (config.policy.hidden_dims, config.policy.chunk_size, config.batch_size) == ([16], 20, 7)
+    assert train_config(root, tmp_path / "out").policy.hidden_dims == [512, 2048, 512]
+
+
 def test_unknown_names_and_counts_are_refused(root: Path, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="policy 'acd'"):
         get_preset("acd", "cpu")

@@ -126,6 +126,7 @@ def test_the_quickstart_scores_two_regions(tmp_path: Path, capsys: pytest.Captur
     assert said.out.splitlines()[-1] == str(root / "report.html")
     saved = json.loads((root / "train/checkpoints/last/pretrained_model/train_config.json").read_text())
     assert (saved["batch_size"], saved["num_workers"]) == (quickstart.BATCH_SIZE, 0)
+    assert saved["policy"]["hidden_dims"] == quickstart.NETWORK["hidden_dims"]
     for name, region in (("rollouts.jsonl", "R1"), ("rollouts_R3.jsonl", "R3")):
         (line,) = [json.loads(text) for text in (root / name).read_text().splitlines()]
         assert line["region"] == region

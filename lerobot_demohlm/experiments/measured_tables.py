@@ -1,0 +1,228 @@
+"""Lines of benchmarks and checks, a file each in ``results/``, -> the tables of ``docs/results.md`` made from them."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from lerobot_demohlm.experiments.lines import Measurement, Result
+from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.experiments.tables import EARLIER, markdown
+
+
+def newest[R: Result](lines: Iterable[R], *keys: str) -> list[R]:
+    """Keep the last line of each combination of keys, in the order of the keys' values."""
+
+    def value(line: R, key: str) -> Any:  # noqa: ANN401
+        return line.get(key) if isinstance(line, Measurement) else getattr(line, key)
+
+    kept = {tuple(str(value(line, key)) for key in keys): line for line in lines}
+    return [kept[key] for key in sorted(kept)]
+
+
+CONTROLLER = (
+    ("linear_velocity_error", "linear velocity error, walking, instantaneous", "m/s", "0.142"),
+    ("yaw_rate_error", "yaw rate error, walking, instantaneous", "rad/s", "0.154"),
+    ("height_error", "height error, standing", "m", "0.028"),
+    ("torso_pitch_error", "torso pitch error, standing", "rad", "0.049"),
+    ("torso_roll_error", "torso roll error, standing", "rad", "0.016"),
+    ("torso_yaw_error", "torso yaw error, standing", "rad", "0.013"),
+    ("standing_drift", "speed when told to stand", "m/s", "-"),
+    ("walking_slip", "slip of the soles that bear load, walking", "m/s", "-"),
+    ("walking_power", "mechanical power, walking", "W", "-"),
+)
+_DISTURBANCES = {
+    "none": "none",
+    "friction_0.4": "friction 0.4",
+    "torso_3kg": "3 kg on the torso",
+    "delay_20ms": "joint targets 20 ms late",
+    "timestep_1ms": "physics at 1 ms",
+}
+
+
+def _controller(lines: Sequence[Measurement]) -> str:
+    runs = newest(lines, "peer", "velocity_only")
+
+    def cell(line: Measurement, key: str, unit: str) -> str:
+        return "-" if line.get(key) is None else f"{line[key]:.3g} {unit}" if unit == "W" else f"{line[key]:.3f} {unit}"
+
+    rows = [
+        [name, *(cell(line, key, unit) for line in runs), best if best == "-" else f"{best} {unit}"]
+        for key, name, unit, best in CONTROLLER
+    ]
+    for key, name in (("survival", "no fall in an episode"), ("survival_pushed", "the same, pushed")):
+        rows.append([name, *(f"{100 * line[key]:.1f} %" for line in runs), "-"])
+    columns = [
+        (line.get("peer") or "ours") + (", velocity commands only" if line.get("velocity_only") else "")
+        for line in runs
+    ]
+    first = runs[0]
+    note = (
+        f"\n\n{first['num_worlds']} robots for {first['seconds']:.0f} s each, random commands over the whole range, "
+        f"redrawn every 4 s, arms moving, 0 to {first.get('largest_hand_load', 0):.0f} kg in each hand; pushes are "
+        "0.5 m/s every 3 s. Published errors are those of HTD and AMO in their own protocols."
+    )
+    for line in runs:
+        if line.get("velocity_only"):
+            load = line.get("largest_hand_load")
+            hands = f"0 to {load:g} kg in each hand" if load else "empty hands"
+            note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, {hands}."
+        if line.get("peer"):
+            note += f" {line['peer']}: {line['peer_file']}, {line['num_worlds']} robots, velocity commands only."
+    return "**Whole-body controller**\n\n" + markdown(["", *columns, "best published"], rows) + note
+
+
+def _robustness(lines: Sequence[Measurement]) -> str:
+    latest = lines[-1]
+    rows = [[text, f"{100 * latest[f'survival/{name}']:.1f} %"] for name, text in _DISTURBANCES.items()]
+    header = ["disturbance", f"no fall in {latest['seconds']:.0f} s ({latest['num_worlds']} robots each, empty hands)"]
+    return "**Whole-body controller outside its training**\n\n" + markdown(header, rows)
+
+
+SHARES = {
+    "mj_step": "`mj_step`",
+    "controller": "controller",
+    "inverse_kinematics": "inverse kinematics",
+    "writing": "writing",
+    "python": "the rest",
+}
+
+
+def _unstamped(line: Measurement) -> str:
+    """Return ", an earlier version" for a measurement of a task that generation has changed since, or may have."""
+    return "" if line.get("stamp") == stamp(line["task"]) else EARLIER
+
+
+def _time(lines: Sequence[Measurement]) -> str:
+    rows = [
+        [
+            line["task"] + _unstamped(line),
+            line["region"],
+            f"{line['successes']} of {line['attempts']}",
+            f"{line['seconds_per_episode']:.2f} s",
+            f"{line['simulated_s_per_episode']:.1f} s",
+            *(f"{100 * line[f'{name}_share']:.0f} %" for name in SHARES),
+        ]
+        for line in newest(lines, "task", "region")
+    ]
+    header = ["task", "region", "succeeded", "CPU time an episode", "simulated"]
+    header += [f"in {of}" for of in SHARES.values()]
+    return "**Time to generate**, and where it goes\n\n" + markdown(header, rows)
+
+
+def _rate(ours: str, theirs: str, ratio: str) -> Callable[[Measurement], tuple[str, str, str]]:
+    """Return what picks a rate, the one beside it and their ratio from a line."""
+    return lambda line: (f"{line[ours]:,}", f"{line[theirs]:,}", f"{line[ratio]:g}")
+
+
+_SPEED: dict[str, tuple[str, str, Callable[[Measurement], tuple[str, str, str]]]] = {
+    "simulation": (
+        "physics steps a second, controller and sensors included",
+        "bare `mj_step`, same model, states and threads",
+        _rate("steps_per_s", "mj_steps_per_s", "step_efficiency"),
+    ),
+    "dataset": (
+        "state-only episodes written a second",
+        "LeRobot's `save_episode`",
+        _rate("episodes_per_s", "lerobot_episodes_per_s", "write_speedup"),
+    ),
+    "memory": (
+        "MiB held by the process that merges a run",
+        "after a tenth of its episodes",
+        lambda line: (
+            f"{line['rss_after_all_mb']} after {line['run_episodes']} episodes",
+            f"{line['rss_after_a_tenth_mb']}",
+            f"{line['rss_after_all_mb'] / line['rss_after_a_tenth_mb']:.2f}",
+        ),
+    ),
+    "loading": (
+        "samples loaded a second (chunk 20, batch 512)",
+        "`LeRobotDataset`",
+        _rate("memory_samples_per_s", "lerobot_samples_per_s", "ratio"),
+    ),
+    "training": (
+        "samples trained on a second ({policy}, {preset}, batch {batch_size})",
+        "`lerobot-train`, {lerobot_num_workers} processes that load",
+        _rate("samples_per_s", "lerobot_samples_per_s", "ratio"),
+    ),
+    "evaluation": (
+        "rollouts an hour, {num_workers} processes of {num_worlds} worlds",
+        "`lerobot-eval`, {lerobot_worlds} at a time, its films drawn",
+        _rate("rollouts_per_hour", "lerobot_rollouts_per_hour", "ratio"),
+    ),
+}
+
+
+def _speed(lines: Sequence[Measurement]) -> str:
+    latest = {(line["benchmark"], line.get("lerobot_worlds"), line.get("policy")): line for line in lines}
+    rows = []
+    for (name, *_), line in sorted(latest.items(), key=lambda entry: list(_SPEED).index(entry[0][0])):
+        what, beside, pick = _SPEED[name]
+        ours, theirs, ratio = pick(line)
+        rows.append([what.format(**line.values), ours, f"{theirs} ({beside.format(**line.values)})", ratio])
+    return "**Speed**, both measured in one run\n\n" + markdown(["", "ours", "beside", "ratio"], rows)
+
+
+def _workers(lines: Sequence[Measurement]) -> str:
+    latest = lines[-1]
+    rows = [
+        [
+            f"{run['workers']}, {run['backend']}",
+            f"{run['attempts_per_hour']:,}",
+            "yes" if run["same"] else "**no**",
+        ]
+        for run in latest["runs"]
+    ]
+    what = f"{latest['attempts']} attempts at {latest['task']} in {latest['region']}, {latest['files']} files"
+    header = ["workers", "attempts an hour", "every file as with one worker"]
+    return f"**The same data whatever the workers**: {what}\n\n" + markdown(header, rows)
+
+
+def _faults(lines: Sequence[Measurement]) -> str:
+    rows = [
+        [entry["fault"], str(entry["tried"] or entry["note"]), str(entry["survived"]), str(entry["lost"])]
+        for entry in lines[-1]["faults"]
+    ]
+    title = "**Faults** during generation; survived is what in the end made, byte for byte, the dataset of a calm run"
+    return f"{title}\n\n" + markdown(["fault", "tried", "survived", "lost"], rows)
+
+
+def _fuzzing(lines: Sequence[Measurement]) -> str:
+    latest = lines[-1]
+    row = [f"{latest['executions']:,}", f"{latest['seconds']} s", "one" if latest["broke"] else "none"]
+    return "**Loaders under a fuzzer**\n\n" + markdown(["inputs", "time", "broke a loader"], [row])
+
+
+_LINT = {
+    "success by random commands": "succeed",
+    "MuJoCo warning, NaN or speed": "warnings of MuJoCo, NaN",
+    "depth in these worlds": "lasting depth [mm]",
+    "depth at impacts in these worlds": "depth at impacts [mm]",
+    "replays: success": "replays that succeed",
+    "replays: MuJoCo warning, NaN or speed": "their warnings, NaN",
+    "replays: depth": "their depth [mm]",
+}
+
+
+def _lint(lines: Sequence[Measurement]) -> str:
+    rows = []
+    for line in newest(lines, "task"):
+        numbers = {name: f"{line['found'][name]:g}" for name in _LINT}
+        numbers["replays: success"] = f"{100 * line['found']['replays: success']:g} %"
+        verdict = ", ".join(line["failed"]) or "pass"
+        made_at = line.commit + _unstamped(line)
+        rows.append([line["task"], str(line["num_episodes"]), *numbers.values(), verdict, made_at])
+    header = ["task", "worlds, replays", *_LINT.values(), "checks", "commit"]
+    title = "**Tasks under random commands**, and replays of their demonstrations from other starts"
+    return f"{title}\n\n" + markdown(header, rows)
+
+
+MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = (
+    ("lint.jsonl", "Checks of the tasks", _lint),
+    ("generation_time.jsonl", "Time of generation", _time),
+    ("controller.jsonl", "Whole-body controller", _controller),
+    ("robustness.jsonl", "Robustness of the controller", _robustness),
+    ("speed.jsonl", "Speed", _speed),
+    ("workers.jsonl", "Workers", _workers),
+    ("faults.jsonl", "Faults", _faults),
+    ("fuzzing.jsonl", "Fuzzing", _fuzzing),
+)
+"""File, heading and what makes the table, in the order of the page."""
