@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from gym_demohlm.control import command
-from gym_demohlm.envs.episode import RunningEpisodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.envs.rendering import Window
 from gym_demohlm.errors import CommandError, UnknownNameError
 from gym_demohlm.registry import get_task
@@ -29,13 +29,14 @@ class DemoHLMEnv(gym.Env):
         render_mode: None, "rgb_array" (the overview camera) or "human" (a window).
         region: Initial region from which ``reset`` draws.
         controller: For one world; the shipped whole-body controller by default.
+        perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
 
     Attributes:
         task: Name of the task.
         task_description: The instruction in words.
 
     Raises:
-        UnknownNameError: No such task, region, obs_type or render_mode.
+        UnknownNameError: No such task, region, obs_type, render_mode or perception.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / STEP_DT)}
@@ -47,6 +48,7 @@ class DemoHLMEnv(gym.Env):
         render_mode: str | None = None,
         region: str = DEFAULT_REGION,
         controller: Controller | None = None,
+        perception: str = EXACT,
     ) -> None:
         check_render_mode(render_mode)
         definition = get_task(task)
@@ -55,7 +57,7 @@ class DemoHLMEnv(gym.Env):
         self.render_mode = render_mode
         self.observation_space = observation_space(definition, obs_type)
         self.action_space = action_space()
-        self._episodes = RunningEpisodes(definition, obs_type=obs_type, controller=controller)
+        self._episodes = RunningEpisodes(definition, obs_type=obs_type, controller=controller, perception=perception)
         self._max_episode_steps = self._episodes.max_steps
         self._window: Window | None = None
 

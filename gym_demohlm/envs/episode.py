@@ -8,6 +8,7 @@ Successes, falls and collisions are judged as in generation (``simulation.judge`
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +22,10 @@ from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
 
+if TYPE_CHECKING:
+    from gym_demohlm.perception.sight import Sight
+
+EXACT = "exact"
 OBSERVATION_TYPES = ("state", "pixels_agent_pos")
 Observation = dict[str, np.ndarray | dict[str, np.ndarray]]
 
@@ -51,9 +56,10 @@ class RunningEpisodes:
         num_threads: Threads of the physics.
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         controller: The shipped whole-body controller by default.
+        perception: How objects are seen: "exact", or "rgbd" for a tracker of a simulated depth camera's images.
 
     Raises:
-        UnknownNameError: No such obs_type.
+        UnknownNameError: No such obs_type or perception.
     """
 
     def __init__(
@@ -63,6 +69,7 @@ class RunningEpisodes:
         num_threads: int = 1,
         obs_type: str = "state",
         controller: Controller | None = None,
+        perception: str = EXACT,
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
@@ -74,6 +81,11 @@ class RunningEpisodes:
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
+        self._sight: Sight | None = None
+        if perception != EXACT:
+            from gym_demohlm.perception import sight  # loads OpenCV and SciPy
+
+            self._sight = sight.Sight(self.sim, perception)
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
         """Begin new episodes in some worlds, all by default; one initial state each."""
@@ -81,6 +93,8 @@ class RunningEpisodes:
         self.sim.reset(initial_states, rows)
         self._judge.reset(rows)
         self._steps[rows] = self._clipped[rows] = 0
+        if self._sight is not None:
+            self._sight.begin(rows, initial_states)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Transition:
         """Apply one action a world for 0.1 s.
@@ -97,6 +111,8 @@ class RunningEpisodes:
         self._steps += moved
         self._clipped[moved] = result.num_clipped[moved]
         self._judge.watch(result, moved)
+        if self._sight is not None:
+            self._sight.look(np.flatnonzero(moved & ~result.unstable))
         info = self.info()
         terminated = info["success_held"] | info["fell"] | info["unstable"]
         truncated = ~terminated & (self._steps >= self.max_steps)
@@ -128,7 +144,9 @@ class RunningEpisodes:
         """Return the observations of all worlds, new arrays with one row a world."""
         seen: Observation = {
             "agent_pos": observation.agent_pos(self.sim),
-            "environment_state": observation.environment_state(self.sim),
+            "environment_state": (
+                observation.environment_state(self.sim) if self._sight is None else self._sight.environment_state()
+            ),
         }
         if self.obs_type == "pixels_agent_pos":
             images = [self.render(world, "head") for world in range(self.sim.num_worlds)]
@@ -142,6 +160,8 @@ class RunningEpisodes:
     def close(self) -> None:
         """Stop the threads and give the graphics context back."""
         self._renderer.close()
+        if self._sight is not None:
+            self._sight.close()
         self.sim.close()
 
 

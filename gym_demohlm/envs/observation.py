@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.arithmetic import arctan2
+from gym_demohlm.perception.equivalents import nearest_equivalent
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.neck import NECK_JOINTS
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,25 +91,3 @@ def environment_state(sim: Simulation) -> np.ndarray:
         T_camera_object = T_camera_world @ nearest_equivalent(sim.pose(entry.name), entry, T_world_camera)
         columns += [T_camera_object[:, :3, 3], T_camera_object[:, :3, 0], T_camera_object[:, :3, 1]]
     return np.concatenate(columns, axis=1).astype(np.float32)
-
-
-def nearest_equivalent(T_world_object: np.ndarray, entry: ObjectSpec, T_world_camera: np.ndarray) -> np.ndarray:
-    """Return the pose (N, 4, 4), among those that look the same, whose x axis points most where the camera heads.
-
-    Args:
-        T_world_object: (N, 4, 4).
-        entry: Says which turns about the object's z axis look the same.
-        T_world_camera: (N, 4, 4), x forward.
-    """
-    if entry.symmetry == (0.0,):
-        return T_world_object
-    forward = T_world_camera[:, :2, 0]  # seen from above; its length does not matter
-    along_x = (T_world_object[:, :2, 0] * forward).sum(axis=1)
-    along_y = (T_world_object[:, :2, 1] * forward).sum(axis=1)
-    if entry.symmetry == "any":
-        turn = arctan2(along_y, along_x)
-    else:
-        turns = np.array(entry.symmetry)
-        towards = along_x[:, None] * np.cos(turns) + along_y[:, None] * np.sin(turns)
-        turn = turns[np.argmax(towards, axis=1)]
-    return T_world_object @ poses.planar(0.0, 0.0, turn)

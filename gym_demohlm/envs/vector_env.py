@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
-from gym_demohlm.envs.episode import RunningEpisodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.errors import SceneError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Controller, Simulation
@@ -35,9 +35,10 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         autoreset_mode: SAME_STEP begins the next episode in the step that ended one; DISABLED leaves a world whose
             episode ended as it is, at no cost, until ``reset``.
         controller: For N worlds; the shipped whole-body controller by default.
+        perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
 
     Raises:
-        UnknownNameError: No such task, region, obs_type or render_mode.
+        UnknownNameError: No such task, region, obs_type, render_mode or perception.
         SceneError: Another autoreset mode.
     """
 
@@ -53,6 +54,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
         controller: Controller | None = None,
+        perception: str = EXACT,
     ) -> None:
         check_render_mode(render_mode)
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
@@ -67,7 +69,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller)
+        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller, perception)
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs

@@ -26,11 +26,12 @@ CAMERA_FOVX = math.degrees(2 * math.atan(math.tan(math.radians(CAMERA_FOVY) / 2)
 for _bound in (NECK_LOWER, NECK_UPPER):
     _bound.setflags(write=False)
 
-_YAW_POS = (0.018, 0.0, 0.325)  # m, yaw axis in the torso frame, at the rim of the neck opening
-_PITCH_POS = (0.0, 0.0, 0.075)  # m, pitch axis in the yaw frame
+YAW_POSITION = (0.018, 0.0, 0.325)  # m, the yaw axis in the torso frame, at the rim of the neck opening
+PITCH_POSITION = (0.0, 0.0, 0.075)  # m, the pitch axis in the yaw frame
 _CAMERA_SIZE = (0.025, 0.090, 0.025)  # m, D435 housing
 _CAMERA_MASS = 0.072  # kg
 _CAMERA_POS = (0.030, 0.0, 0.022)  # m, housing centre in the pitch frame
+LENS_POSITION = (_CAMERA_POS[0] + _CAMERA_SIZE[0] / 2 + 0.002, 0.0, _CAMERA_POS[2])  # m, head_camera in the pitch frame
 _MOVING_COM = np.array([0.015, 0.0, 0.078])  # m, of both moving parts in the yaw frame, at zero angles
 _BRACKET_MASS = 0.030  # kg each, printed PLA, estimated
 _NATURAL_FREQUENCY = 60.0  # rad/s of the servos' position loop: ten times the gaze controller's bandwidth
@@ -47,10 +48,10 @@ def add_neck(spec: mujoco.MjSpec) -> None:
         if geom.meshname == "head_link" or geom.name == "head_collision":
             spec.delete(geom)
     white, dark, metal = [0.92, 0.92, 0.93, 1], [0.10, 0.10, 0.11, 1], [0.75, 0.76, 0.78, 1]
-    _add_part(torso, "cylinder", [0.050, 0.012, 0], [_YAW_POS[0], 0, 0.300], dark, 0.0)  # plate over the opening
-    _add_part(torso, "box", [half / 2 for half in dynamixel.SIZE], [_YAW_POS[0], 0, 0.318], dark, 0.0)
+    _add_part(torso, "cylinder", [0.050, 0.012, 0], [YAW_POSITION[0], 0, 0.300], dark, 0.0)  # plate over the opening
+    _add_part(torso, "box", [half / 2 for half in dynamixel.SIZE], [YAW_POSITION[0], 0, 0.318], dark, 0.0)
 
-    yaw = torso.add_body(name="neck_yaw_link", pos=_YAW_POS)
+    yaw = torso.add_body(name="neck_yaw_link", pos=YAW_POSITION)
     _add_joint(yaw, "neck_yaw", [0, 0, 1], 0)
     _add_part(yaw, "cylinder", [0.016, 0.006, 0], [0, 0, 0.012], metal, 0.0)
     _add_part(yaw, "box", [0.014, 0.032, 0.003], [0, 0, 0.021], white, _BRACKET_MASS / 3)
@@ -58,7 +59,7 @@ def add_neck(spec: mujoco.MjSpec) -> None:
         _add_part(yaw, "box", [0.012, 0.003, 0.034], [0, side * 0.031, 0.052], white, _BRACKET_MASS / 3)
     _add_part(yaw, "box", [0.010, 0.013, 0.017], [0, 0, 0.055], dark, dynamixel.MASS)
 
-    pitch = yaw.add_body(name="neck_pitch_link", pos=_PITCH_POS)
+    pitch = yaw.add_body(name="neck_pitch_link", pos=PITCH_POSITION)
     _add_joint(pitch, "neck_pitch", [0, 1, 0], 1)
     _add_part(pitch, "box", [0.012, 0.024, 0.004], [0.006, 0, 0.012], white, _BRACKET_MASS)
     _add_part(pitch, "box", [length / 2 for length in _CAMERA_SIZE], _CAMERA_POS, metal, _CAMERA_MASS)
@@ -71,12 +72,13 @@ def add_neck(spec: mujoco.MjSpec) -> None:
     head.pos = [_CAMERA_POS[0] - 0.01, 0, _CAMERA_POS[2]]
     head.contype, head.conaffinity, head.condim, head.group = g1.ROBOT_BIT, g1.WORLD_BIT, 3, 3
 
-    origin = [lens_x + 0.002, 0, _CAMERA_POS[2]]
-    pitch.add_site(name="head_camera", pos=origin, size=[0.005, 0.005, 0.005], group=5)
-    camera = pitch.add_camera(name="head", pos=origin, fovy=CAMERA_FOVY, resolution=[CAMERA_WIDTH, CAMERA_HEIGHT])
+    pitch.add_site(name="head_camera", pos=LENS_POSITION, size=[0.005, 0.005, 0.005], group=5)
+    camera = pitch.add_camera(
+        name="head", pos=LENS_POSITION, fovy=CAMERA_FOVY, resolution=[CAMERA_WIDTH, CAMERA_HEIGHT]
+    )
     camera.quat = [0.5, 0.5, -0.5, -0.5]  # camera x = -y, y = z, -z = x of the site
     moving_mass = 2 * _BRACKET_MASS + dynamixel.MASS + _CAMERA_MASS
-    _take_mass(torso, moving_mass, np.array(_YAW_POS) + _MOVING_COM)
+    _take_mass(torso, moving_mass, np.array(YAW_POSITION) + _MOVING_COM)
 
 
 def add_neck_actuators(spec: mujoco.MjSpec) -> None:

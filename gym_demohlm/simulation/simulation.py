@@ -110,6 +110,8 @@ class Simulation(Worlds):
 
     Attributes:
         on_tick: Called after each controller tick, see ``OnTick``; None by default.
+        p_camera_gaze: (N, 3) where the gaze target seems to be in the frame ``head_camera`` [m], for the neck; None,
+            the default, for where it is. A reset turns the neck to where it is.
 
     Raises:
         SceneError: ``num_worlds`` or ``num_threads`` is less than 1.
@@ -135,6 +137,7 @@ class Simulation(Worlds):
         threads = min(num_threads, num_worlds)
         self._pool = make_pool(threads) if pool is None else pool
         self.on_tick: OnTick | None = None
+        self.p_camera_gaze: np.ndarray | None = None
         self._data = [mujoco.MjData(self.scene.physics) for _ in range(threads)]
         # Inputs and outputs of the rollouts, made once; the first rows are used where fewer worlds take part.
         substeps = round(CONTROL_DT / model.opt.timestep)  # physics steps a tick
@@ -167,7 +170,7 @@ class Simulation(Worlds):
             array[rows] = 0
         for _ in range(GAZE_STEPS):  # it looks where it should from the first image on
             self._stale[rows] = True
-            self._neck[rows] = self._next_neck()[rows]
+            self._neck[rows] = self._next_neck(None)[rows]
             self._qpos[rows[:, None], self.scene.neck_qpos] = self._neck[rows]
         self._stale[rows] = True
         self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
@@ -198,7 +201,7 @@ class Simulation(Worlds):
         forces = np.zeros((num_worlds, TICKS, self._forces.shape[1]))
         collisions = np.zeros((num_worlds, TICKS))
         rows = np.flatnonzero(stepped)
-        previous_neck, next_neck = self._neck.copy(), self._next_neck()
+        previous_neck, next_neck = self._neck.copy(), self._next_neck(self.p_camera_gaze)
         previous_arms, next_arms = self._command[:, command.ARMS].copy(), valid[:, command.ARMS]
         now = valid.copy()
         for tick in range(TICKS):
@@ -416,11 +419,16 @@ class Simulation(Worlds):
         collisions = sensors[..., self.scene.collision_address].sum(axis=-1).max(axis=(2, 3), initial=0.0)
         return contacts.swapaxes(0, 1), collisions.T
 
-    def _next_neck(self) -> np.ndarray:
-        """Return the neck's targets (N, 2) [rad] at the end of this step, turned towards the gaze target."""
-        camera = self.pose("head_camera")
-        offset = self.pose(self.task.gaze_target)[:, :3, 3] - camera[:, :3, 3]
-        p_camera_target = (camera[:, :3, :3] * offset[:, :, None]).sum(axis=1)
+    def _next_neck(self, p_camera_target: np.ndarray | None) -> np.ndarray:
+        """Return the neck's targets (N, 2) [rad] at the end of this step, turned towards the gaze target.
+
+        Args:
+            p_camera_target: (N, 3) where it seems to be [m]; where it is, by default.
+        """
+        if p_camera_target is None:
+            camera = self.pose("head_camera")
+            offset = self.pose(self.task.gaze_target)[:, :3, 3] - camera[:, :3, 3]
+            p_camera_target = (camera[:, :3, :3] * offset[:, :, None]).sum(axis=1)
         # Columns in one piece, whatever N: NumPy may compute an arctangent by another routine where they are not.
         return self._gaze.step(self._neck, np.asfortranarray(p_camera_target), STEP_DT)
 

@@ -32,6 +32,8 @@ class DemoHLMEnvConfig(EnvConfig):
     fps: int = 10
     region: str = DEFAULT_REGION
     """Initial region: R1, R2 or R3."""
+    perception: str = "exact"
+    """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -74,7 +76,12 @@ class DemoHLMEnvConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """What the environments are made with."""
-        return {"obs_type": self.obs_type, "render_mode": self.render_mode, "region": self.region}
+        return {
+            "obs_type": self.obs_type,
+            "render_mode": self.render_mode,
+            "region": self.region,
+            "perception": self.perception,
+        }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
         """Return what LeRobot's evaluation does to observations and actions: see ``batch_rows.py``."""

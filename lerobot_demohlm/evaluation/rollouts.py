@@ -150,6 +150,7 @@ class Setting:
         num_worlds: Episodes rolled out together in a process.
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
+        perception: How observation and gaze see objects: "exact" or "rgbd".
     """
 
     task: str
@@ -157,6 +158,7 @@ class Setting:
     num_worlds: int = NUM_WORLDS
     num_threads: int = 1
     num_workers: int = 1
+    perception: str = "exact"
 
     def __post_init__(self) -> None:
         """Check names and counts."""
@@ -243,6 +245,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         task=get_task(setting.task).name,
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
         region=setting.region,
+        perception=setting.perception,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )

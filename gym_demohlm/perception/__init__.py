@@ -1,0 +1,1 @@
+"""What the robot sees: camera, depth, masks, a tracker, and perceivers that say where objects are."""

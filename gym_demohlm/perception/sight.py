@@ -1,0 +1,71 @@
+"""A perceiver -> what all worlds of a simulation seem to show: their observation, and where the neck turns."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from gym_demohlm.perception.perceiver import PoseEstimate, make_perceiver
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import InitialState
+
+
+class Sight:
+    """Looks once a step and remembers what it saw; its estimate of the gaze target drives the neck.
+
+    What is random in an episode's eyes is a function of where the episode starts, so an episode sees the same alone and
+    among others.
+
+    Args:
+        sim: The worlds.
+        source: See ``make_perceiver``.
+
+    Raises:
+        UnknownNameError: There is no such source.
+    """
+
+    def __init__(self, sim: Simulation, source: str) -> None:
+        self._sim = sim
+        self._perceiver = make_perceiver(source, sim.task, sim.num_worlds)
+        shape = sim.num_worlds, len(sim.task.objects)
+        self._estimate = PoseEstimate(
+            T_camera_object=np.tile(np.eye(4), (*shape, 1, 1)),
+            valid=np.zeros(shape, bool),
+            age_s=np.full(shape, np.inf),
+            inliers=np.zeros(shape),
+        )
+        self._gaze = [entry.name for entry in sim.task.objects].index(sim.task.gaze_target)
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """What was seen last in each world."""
+        return self._estimate
+
+    def begin(self, rows: np.ndarray, initial_states: Sequence[InitialState]) -> None:
+        """Begin episodes in some worlds (n,) and look at them."""
+        self._perceiver.begin(rows, [_seed(state) for state in initial_states])
+        self.look(rows)
+
+    def look(self, rows: np.ndarray) -> None:
+        """Look at some worlds (n,), after their step."""
+        if len(rows) == 0:
+            return
+        seen = self._perceiver.observe(self._sim, rows)
+        for name in ("T_camera_object", "valid", "age_s", "inliers"):
+            getattr(self._estimate, name)[rows] = getattr(seen, name)
+        self._sim.p_camera_gaze = self._estimate.position(self._gaze)
+
+    def environment_state(self) -> np.ndarray:
+        """Return the observation of all worlds (N, 9k) float32."""
+        return self._estimate.environment_state()
+
+    def close(self) -> None:
+        """Give back what the perceiver holds."""
+        self._perceiver.close()
+
+
+def _seed(state: InitialState) -> int:
+    """Return a seed that is a function of where an episode starts."""
+    digest = hashlib.sha256(json.dumps(state, sort_keys=True).encode()).digest()
+    return int.from_bytes(digest[:7], "little")

@@ -1,0 +1,329 @@
+"""Depth and masks, frame by frame -> the pose of one object: register, follow, notice when it is lost, register again.
+
+Between frames the object is expected where it was in odometry coordinates. Where the mask says otherwise the guess is
+moved to the mask first: at 10 Hz the image moves too far for a fit alone. A pose is believed only if it explains
+silhouette and depth. An object that is lost, or not seen, is held in odometry coordinates and its age grows.
+
+What no hand is near stays where it is: frames are averaged, as far as odometry can be trusted. What a hand is near may
+have moved with the hand, or on its own.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.perception import fit
+from gym_demohlm.perception.camera import Intrinsics, Window
+from gym_demohlm.perception.d435 import DepthNoise
+from gym_demohlm.perception.meshes import ObjectMesh
+
+NUM_STARTS = 24
+LEAST_PIXELS = 40  # a smaller mask shows nothing
+_ROUGH_ITERATIONS, _FINE_ITERATIONS, _TRACK_ITERATIONS = 4, 8, 6
+_REFINED = 3  # of the starts
+_BELIEVED_IOU, _BELIEVED_INLIERS = 0.55, 0.45
+_GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
+_OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
+_FORGET_S = 0.5  # after which a fit from where it was is not tried
+_PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
+_SCALE_FLOOR, _SCALE_DRIFT = 1e-5, 0.05  # least doubt about depth's factor; share of the doubt that comes back a frame
+_RESTING = 0.0005, math.radians(0.1), 0.03  # m and rad a frame, share of the camera's motion that odometry misses
+_MOVING, _TURNING = 0.008, math.radians(3.0)  # m and rad a frame: more than a resting object seems to move
+_HANDLED = 0.01, math.radians(6.0)  # m and rad a frame, by which what a hand is near moves otherwise than foreseen
+_SURPRISE = 16.0  # squared deviations of seven numbers: chance exceeds it once in forty frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """What is known of an object after a frame.
+
+    Attributes:
+        T_odom_object: (4, 4).
+        valid: Whether this frame showed it.
+        age_s: Time since a frame did [s]; 0 where this one does.
+        inliers: Share of depth pixels that lie on the object, in the last frame that showed it.
+        iou: Agreement of silhouette and mask in that frame.
+        registered: Whether this frame found it anew.
+    """
+
+    T_odom_object: np.ndarray
+    valid: bool
+    age_s: float
+    inliers: float
+    iou: float
+    registered: bool = False
+
+
+class Tracker:
+    """Follows one object.
+
+    Args:
+        mesh: Its shape.
+        intrinsics: Of the images, as far as the robot knows them.
+        noise: What the depth camera's noise is taken to be.
+
+    Attributes:
+        shape: The object's shape as arrays.
+        track: What is known of it; None before it was seen.
+    """
+
+    def __init__(self, mesh: ObjectMesh, intrinsics: Intrinsics, noise: DepthNoise | None = None) -> None:
+        self.shape = fit.Shape(mesh)
+        self.track: Track | None = None
+        self._intrinsics, self._noise = intrinsics, noise or DepthNoise()
+        self._scale_sigma = max(self._noise.scale_sigma, _SCALE_FLOOR)
+        self._unknown = np.diag([0.0] * 6 + [self._scale_sigma**-2])
+        self._last = fit.Fit(np.eye(4), 1.0, self._unknown)
+        self._T_odom_optical = np.eye(4)  # when it was last seen
+        self._moving, self._motion = False, np.eye(4)  # in odometry coordinates, from frame to frame
+
+    def expected(self, T_odom_optical: np.ndarray) -> np.ndarray | None:
+        """Return where the object should be, ``T_optical_object``, or None before it was seen."""
+        return None if self.track is None else poses.invert(T_odom_optical) @ self.track.T_odom_object
+
+    def update(
+        self,
+        depth: np.ndarray,
+        mask: np.ndarray,
+        window: Window,
+        T_odom_optical: np.ndarray,
+        dt: float,
+        hand_motions: Sequence[np.ndarray] = (),
+        hiders: np.ndarray | None = None,
+        R_odom_object: np.ndarray | None = None,
+    ) -> Track | None:
+        """Look at a frame.
+
+        Args:
+            depth: (height, width) float32 of the window [m], 0 where nothing was measured.
+            mask: (height, width) bool of the window.
+            window: Part of the image.
+            T_odom_optical: The camera's pose in odometry coordinates, z up.
+            dt: Time since the last frame [s].
+            hand_motions: (4, 4) rigid motions in odometry coordinates, since the last frame, of the hands that are near
+                the object.
+            hiders: (height, width) bool of the window, known things that may hide the object: the robot, other objects.
+            R_odom_object: (3, 3) how the object lies, for the first time, within a right angle about the vertical;
+                upright by default.
+
+        Returns:
+            What is known now; None as long as it has never been seen.
+        """
+        view = fit.make_view(depth, mask, window, self._intrinsics, self._noise, hiders)
+        if view.num_pixels < LEAST_PIXELS:
+            return self._held(dt)
+        result, quality, registered = None, None, False
+        if self.track is not None and self.track.age_s <= _FORGET_S:
+            result, quality = self._follow(view, T_odom_optical, hand_motions)
+        if quality is None or not _believed(quality):
+            found, found_quality = self.register(view, T_odom_optical, R_odom_object)
+            if quality is None or found_quality.score > quality.score + _PREFERENCE:
+                result, quality, registered = found, found_quality, True
+        if result is None or not _believed(quality):
+            return self._held(dt)
+        T_odom_object = T_odom_optical @ result.T
+        self._moving, self._motion = False, np.eye(4)
+        if self.track is not None and self.track.valid and not registered:
+            motion = T_odom_object @ poses.invert(self.track.T_odom_object)
+            way = np.linalg.norm(T_odom_object[:3, 3] - self.track.T_odom_object[:3, 3])
+            if way > _MOVING or np.linalg.norm(poses.rotation_vector(motion[:3, :3])) > _TURNING:
+                self._moving, self._motion = True, motion
+        self._last, self._T_odom_optical = result, T_odom_optical
+        self.track = Track(
+            T_odom_object=T_odom_object,
+            valid=True,
+            age_s=0.0,
+            inliers=quality.inliers,
+            iou=quality.iou,
+            registered=registered,
+        )
+        return self.track
+
+    def _held(self, dt: float) -> Track | None:
+        """Keep what is known."""
+        if self.track is not None:
+            last = self.track
+            self.track = Track(
+                T_odom_object=last.T_odom_object,
+                valid=False,
+                age_s=last.age_s + dt,
+                inliers=last.inliers,
+                iou=last.iou,
+            )
+        return self.track
+
+    def _follow(
+        self, view: fit.View, T_odom_optical: np.ndarray, hand_motions: Sequence[np.ndarray]
+    ) -> tuple[fit.Fit, fit.Quality]:
+        """Fit from where the object should be, and from where the mask is if that is elsewhere."""
+        still = self.expected(T_odom_optical)
+        assert still is not None
+        resting = not self._moving and (self.shape.mesh.fixed or not hand_motions)
+        moved = self._moved_to_mask(still, view)
+        if resting and (moved is None or self.shape.mesh.fixed):
+            prior = self._prior(still, T_odom_optical, handled=False)
+            best = fit.fit(self.shape, still, view, prior, _TRACK_ITERATIONS)
+            quality = fit.assess(self.shape, best.T, view, best.scale)
+            if _good(quality) and fit.surprise(best, prior) < _SURPRISE:
+                return best, quality
+        T_optical_odom = poses.invert(T_odom_optical)
+        motions = [*hand_motions, *([self._motion] if self._moving else [])]
+        guesses = [still, *(T_optical_odom @ motion @ T_odom_optical @ still for motion in motions)]
+        guesses.sort(key=lambda guess: -fit.assess(self.shape, guess, view, self._last.scale).score)
+        moved = self._moved_to_mask(guesses[0], view)
+        best, quality = self._last, fit.Quality(0.0, 0.0)
+        for guess in guesses[:3] if moved is None else [moved, *guesses[:2]]:
+            prior = self._prior(guess, T_odom_optical, handled=True)
+            result = fit.fit(self.shape, guess, view, prior, _TRACK_ITERATIONS)
+            result_quality = fit.assess(self.shape, result.T, view, result.scale)
+            if result_quality.score > quality.score:
+                best, quality = result, result_quality
+            if _good(quality):
+                break
+        return best, quality
+
+    def _prior(self, guess: np.ndarray, T_odom_optical: np.ndarray, handled: bool) -> fit.Prior:
+        """Return what is known of the object before a frame, if it is where it is guessed to be."""
+        motion = poses.invert(self._T_odom_optical) @ T_odom_optical
+        length, turn = np.linalg.norm(motion[:3, 3]), np.linalg.norm(poses.rotation_vector(motion[:3, :3]))
+        to_now = np.eye(7)
+        to_now[:3, :3] = to_now[3:6, 3:6] = motion[:3, :3].T
+        deviation = np.zeros(7)
+        deviation[:3] = _RESTING[0] + _RESTING[2] * (length + guess[2, 3] * turn)
+        deviation[3:6] = _RESTING[1] + _RESTING[2] * turn
+        if handled:
+            deviation[:3], deviation[3:6] = _HANDLED
+        deviation[6] = _SCALE_DRIFT * self._scale_sigma
+        covariance = np.linalg.inv(self._last.information + 1e-3 * np.eye(7))
+        covariance = to_now @ covariance @ to_now.T + np.diag(deviation**2)
+        return fit.Prior(guess, self._last.scale, np.linalg.inv(covariance))
+
+    def _moved_to_mask(self, guess: np.ndarray, view: fit.View) -> np.ndarray | None:
+        """Return the guess brought over the mask, or None where it is there already."""
+        if fit.overlap(self.shape, guess, view) > _OVERLAP:
+            return None
+        T = self._aligned(guess, view)
+        if self.shape.solid and len(view.points):
+            near = np.median(view.points[:, 2])
+            expected = float((self.shape.vertices @ T[2, :3]).min()) + T[2, 3] + 0.3 * self.shape.radius
+            if abs(near - expected) > 0.03:
+                T[:3, 3] *= (T[2, 3] + near - expected) / T[2, 3]
+        return T
+
+    def _aligned(self, T: np.ndarray, view: fit.View) -> np.ndarray:
+        """Return a pose moved across the image so that silhouette and mask have the same middle, or the same free edge.
+
+        Where the mask is cut off by the image's border, only its other edge says where the object is.
+        """
+        p_optical = self.shape.vertices @ T[:3, :3].T + T[:3, 3]
+        p_optical[:, 2] = np.maximum(p_optical[:, 2], 0.05)
+        uv = view.intrinsics.project(p_optical) - view.window.corner
+        low, high = uv.min(axis=0), uv.max(axis=0)
+        rows, columns = np.nonzero(view.mask)
+        size = np.array([view.window.width, view.window.height])
+        mask_low = np.array([columns.min(), rows.min()])
+        mask_high = np.array([columns.max(), rows.max()])
+        cut_low, cut_high = mask_low <= 1, mask_high >= size - 2
+        shift = (mask_low + mask_high - low - high) / 2.0
+        shift = np.where(cut_low & ~cut_high, mask_high - high, shift)
+        shift = np.where(cut_high & ~cut_low, mask_low - low, shift)
+        result = T.copy()
+        result[:2, 3] += shift / view.intrinsics.focal * T[2, 3]
+        return result
+
+    def register(
+        self, view: fit.View, T_odom_optical: np.ndarray, R_odom_object: np.ndarray | None = None
+    ) -> tuple[fit.Fit, fit.Quality]:
+        """Find the object without knowing where it is, from many starts.
+
+        Args:
+            view: Depth and mask.
+            T_odom_optical: The camera's pose in odometry coordinates, z up.
+            R_odom_object: (3, 3) roughly how the object lies, if it was never seen; upright by default.
+
+        Returns:
+            Of all poses that look the same the one that lies most like the default, and its quality.
+        """
+        R_optical_odom = T_odom_optical[:3, :3].T
+        known = self.track is not None
+        if self.track is not None:
+            R_odom_object = self.track.T_odom_object[:3, :3]
+        rough = []
+        for start in _starts(R_odom_object, known):
+            T = self._placed(R_optical_odom @ start, view)
+            T = fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
+            rough.append((fit.assess(self.shape, T, view).score, len(rough), T))
+        best, best_quality = self._last, fit.Quality(0.0, 0.0)
+        for _, _, T in sorted(rough, key=lambda entry: (-entry[0], entry[1]))[:_REFINED]:
+            result = fit.fit(self.shape, T, view, self._nothing(T), _FINE_ITERATIONS, reach=12)
+            quality = fit.assess(self.shape, result.T, view, result.scale)
+            if quality.score > best_quality.score:
+                best, best_quality = result, quality
+        return replace(best, T=self._like(best.T, R_optical_odom, R_odom_object)), best_quality
+
+    def _nothing(self, T: np.ndarray) -> fit.Prior:
+        """Return the prior of who knows the depth camera only."""
+        information = self._unknown.copy()
+        information[6, 6] = max(information[6, 6], self._last.information[6, 6])
+        return fit.Prior(T, self._last.scale, information)
+
+    def _like(self, T: np.ndarray, R_optical_odom: np.ndarray, R_odom_object: np.ndarray | None) -> np.ndarray:
+        """Return the pose, among those that look the same, that lies most like a rough orientation, or upright."""
+        turned = T[:3, :3] @ self.shape.mesh.symmetries  # (s, 3, 3)
+        if R_odom_object is None or self.shape.mesh.spec.symmetry == "any":
+            axis = R_optical_odom @ (np.array([0.0, 0.0, 1.0]) if R_odom_object is None else R_odom_object[:, 2])
+            likeness = turned[:, :, 2] @ axis
+        else:
+            likeness = np.einsum("sij,ij->s", turned, R_optical_odom @ R_odom_object)
+        chosen = int(np.flatnonzero(likeness > likeness.max() - 1e-3)[0])
+        result = T.copy()
+        result[:3, :3] = turned[chosen]
+        return result
+
+    def _placed(self, R_optical_object: np.ndarray, view: fit.View) -> np.ndarray:
+        """Return a pose of an orientation whose silhouette has the place and size of the mask."""
+        rows, columns = np.nonzero(view.mask)
+        low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
+        middle = self._intrinsics.unproject((low + high) / 2.0 + view.window.corner, np.array(1.0))
+        turned = (self.shape.vertices - self.shape.middle) @ R_optical_object.T
+        extent = np.ptp(turned[:, :2], axis=0)
+        z = float(np.min(self._intrinsics.focal * extent / np.maximum(high - low + 1, 1)))  # the less hidden way
+        if self.shape.solid and len(view.points):
+            z = float(np.median(view.points[:, 2])) - 0.5 * float(turned[:, 2].min())
+        T = np.eye(4)
+        T[:3, :3] = R_optical_object
+        T[:3, 3] = middle * max(z, 0.1) - R_optical_object @ self.shape.middle
+        return self._aligned(self._aligned(T, view), view)
+
+
+def _believed(quality: fit.Quality | None) -> bool:
+    return quality is not None and quality.iou > _BELIEVED_IOU and quality.inliers > _BELIEVED_INLIERS
+
+
+def _good(quality: fit.Quality) -> bool:
+    return quality.iou > _GOOD_IOU and quality.inliers > _GOOD_INLIERS
+
+
+def _starts(R_odom_object: np.ndarray | None, known: bool) -> list[np.ndarray]:
+    """Return orientations (3, 3) in odometry coordinates to start from.
+
+    Args:
+        R_odom_object: (3, 3) how the object lay; roughly how it lies, within a right angle; or None.
+        known: Whether it was seen to lie like that.
+    """
+    if R_odom_object is None:
+        return [_about_z(2.0 * math.pi * k / NUM_STARTS) for k in range(NUM_STARTS)]
+    if not known:
+        return [_about_z(angle) @ R_odom_object for angle in np.linspace(-math.pi / 2, math.pi / 2, NUM_STARTS)]
+    tilts = [np.zeros(3), *(angle * np.eye(3)[axis] for axis in range(3) for angle in (-1.0, -0.5, 0.5, 1.0))]
+    near = [poses.rotation_from_vector(tilt) @ R_odom_object for tilt in tilts]
+    rest = NUM_STARTS - len(near)
+    return near + [_about_z(2.0 * math.pi * k / rest) for k in range(rest)]
+
+
+def _about_z(angle: float) -> np.ndarray:
+    """Return a turn (3, 3) about the vertical [rad]."""
+    return poses.planar(0.0, 0.0, angle)[:3, :3]

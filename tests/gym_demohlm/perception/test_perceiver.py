@@ -1,0 +1,95 @@
+"""Perceivers: exact ones have today's bits, seeing ones are near the truth, and nothing flips."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from gym_demohlm import poses
+from gym_demohlm.envs import observation
+from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.perception.equivalents import steady_equivalent
+from gym_demohlm.perception.perceiver import RgbdPerceiver, RgbdSettings, make_perceiver
+from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.simulation import Simulation
+
+
+@pytest.mark.parametrize("name", sorted(all_tasks()))
+def test_exact_poses_have_the_bits_of_the_observation(name: str) -> None:
+    task = get_task(name)
+    sim = Simulation(task, 2)
+    sim.reset([task.sample("R3", np.random.default_rng(seed)) for seed in range(2)])
+    estimate = make_perceiver("exact", task, 2).observe(sim, np.arange(2))
+    assert estimate.environment_state().tobytes() == observation.environment_state(sim).tobytes()
+    assert estimate.valid.all() and (estimate.age_s == 0).all()
+    sim.close()
+
+
+def test_an_unknown_source_is_an_error() -> None:
+    with pytest.raises(UnknownNameError, match="'exact'"):
+        make_perceiver("exac", get_task("LiftBox"), 1)
+
+
+def _watched(settings: RgbdSettings, seed: int, steps: int = 6) -> tuple[list[bytes], np.ndarray]:
+    """Return what is told of a robot that stands, and its last error from the exact observation."""
+    task = get_task("GraspCube")
+    sim = Simulation(task, 1)
+    sim.reset([{"robot": [-0.45, 0.05, 0.1], "object": [0.0, -0.05, 0.3]}])
+    perceiver = RgbdPerceiver(task, 1, settings)
+    perceiver.begin(np.array([0]), [seed])
+    told = []
+    for _ in range(steps):
+        sim.step(sim.command)
+        told.append(perceiver.observe(sim, np.array([0])).environment_state())
+    error = told[-1][0] - observation.environment_state(sim)[0]
+    perceiver.close()
+    sim.close()
+    return [each.tobytes() for each in told], error
+
+
+def test_the_same_seed_sees_the_same_bits_near_the_truth_and_another_seed_others() -> None:
+    first, error = _watched(RgbdSettings(), 5)
+    again, _ = _watched(RgbdSettings(), 5)
+    other, _ = _watched(RgbdSettings(), 6)
+    assert first == again and first != other
+    assert np.abs(error[:3]).max() < 0.015 and np.abs(error[3:]).max() < 0.12
+
+
+def test_a_camera_that_is_mounted_otherwise_shifts_what_is_told() -> None:
+    _, straight = _watched(RgbdSettings(), 5, 3)
+    _, off = _watched(RgbdSettings(camera_turn=np.radians(2.0)), 5, 3)
+    distance = 0.9  # m to the cube, about
+    assert 0.2 * distance * np.radians(2.0) < np.linalg.norm(off[:3] - straight[:3]) < 1.5 * distance * np.radians(2.0)
+
+
+def test_a_symmetric_object_does_not_flip_while_its_border_trembles() -> None:
+    entry = get_task("GraspCube").objects[0]
+    camera = poses.planar(0.0, 0.0, 0.0)
+    rng = np.random.default_rng(0)
+    last, told = None, []
+    for _ in range(200):
+        T = poses.planar(0.5, 0.0, np.radians(45.0 + 2.5 * rng.standard_normal()))
+        last = steady_equivalent(T, entry, camera, last)
+        told.append(poses.yaw(last))
+    assert np.abs(np.diff(told)).max() < np.radians(40.0)
+    turned = steady_equivalent(poses.planar(0.5, 0.0, np.radians(70.0)), entry, camera, poses.planar(0.5, 0, 0.8))
+    assert abs(np.degrees(poses.yaw(turned))) < 45.0  # it does where the object has really turned
+
+
+def test_an_environment_observes_and_looks_by_what_it_sees() -> None:
+    seen, exact = (gym.make("DemoHLM/GraspCube-v0", perception=source).unwrapped for source in ("rgbd", "exact"))
+    told = []
+    for env in (seen, exact):
+        first, _ = env.reset(seed=3, options={"region": "R1"})
+        sim = env.get_wrapper_attr("sim")
+        last = [env.step(sim.command[0].astype(np.float32))[0] for _ in range(4)][-1]
+        told.append((first["environment_state"], last["environment_state"], sim.neck_positions))
+    for observed, true in zip(*told, strict=True):
+        assert 0.0 < np.abs(observed - true).max() < 0.2  # another one, but not far off; the neck's angles, too
+    assert exact.get_wrapper_attr("sim").p_camera_gaze is None
+    seen.close()
+    exact.close()
+
+
+def test_an_environment_with_an_unknown_perception_is_an_error() -> None:
+    with pytest.raises(UnknownNameError, match="perception"):
+        gym.make("DemoHLM/GraspCube-v0", perception="eyes")
