@@ -56,7 +56,7 @@ VERBS = (
     Verb(
         name="record",
         group="demonstrations",
-        help="record a demonstration with the task's scripted operator",
+        help="record a demonstration with the task's scripted operator, or by a person at a web page",
         example="demohlm record --task LiftBox --root demonstrations/lift_box",
     ),
     Verb(
