@@ -218,6 +218,11 @@ class RecordingSession:
         return self._waiting or self.state in (REVIEW, SAVED)
 
     @property
+    def held_s(self) -> float:
+        """How long the task's condition has held [s]."""
+        return self._held / FPS
+
+    @property
     def targets(self) -> np.ndarray:
         """(2, 4, 4) what is asked of the palms; where they are, before anything was asked."""
         return self.recorder.view().T_world_hands if self._asked is None else self._asked.T_world_hands
@@ -275,7 +280,7 @@ class RecordingSession:
             tick=len(self.recorder),
             engaged=self.clutch.engaged,
             success=self._held > 0,
-            held_s=round(self._held / FPS, 1),
+            held_s=round(self.held_s, 1),
             fallen=bool(self.sim.fallen()[0]),
             forces=forces,
             contacts=tuple((e.tick, e.hand, e.kind, e.object) for e in self._events()),

@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -32,6 +32,7 @@ from lerobot_demohlm.teleop.realtime import RealTimeWorld, body_poses
 from lerobot_demohlm.teleop.session import SAVED, Status
 from lerobot_demohlm.teleop.web import protocol, scene
 from lerobot_demohlm.teleop.web.certificate import make_context
+from lerobot_demohlm.teleop.web.inputs import Inputs
 
 PAGE = Path(__file__).parent / "page"
 FILES = {
@@ -43,98 +44,12 @@ FILES = {
 }
 LOCAL = ("localhost", "127.0.0.1", "::1")
 MAX_CLIENTS = 16
-DRIVER_REST_S = 0.5  # after which another operator's browser may take over
 PAUSED_S = 0.05  # between looks at the buttons while the world stands still
 GOODBYE_S = 1.0  # for the browsers to hear that the demonstration is saved
 MAX_REFUSED = 200  # messages of one browser, after which it is cut off
 _POLICY = "default-src 'self'; connect-src 'self'; img-src 'self' data:; style-src 'self'; frame-ancestors 'none'"
 
 _log = logging.getLogger(__name__)
-
-
-class Latencies:
-    """How long it takes from a page's message to the command that it becomes part of."""
-
-    def __init__(self) -> None:
-        self._pending: list[float] = []  # arrived, and not looked at yet [s]
-        self._taken: list[float] = []  # looked at for the command that comes next [s]
-        self._done: deque[float] = deque(maxlen=5000)  # [ms]
-        self._lock = threading.Lock()
-
-    def arrived(self, sent_s: float) -> None:
-        """Note a message that was sent at this time [s]."""
-        with self._lock:
-            self._pending.append(sent_s)
-
-    def taken(self) -> None:
-        """Note that all that has arrived makes the next command."""
-        with self._lock:
-            self._taken += self._pending
-            self._pending.clear()
-
-    def applied(self, now_s: float) -> None:
-        """Note that the first tick of that command is done."""
-        with self._lock:
-            self._done.extend(1e3 * (now_s - sent) for sent in self._taken if 0.0 <= now_s - sent < 10.0)
-            self._taken.clear()
-
-    def summary(self) -> dict[str, float]:
-        """Return median and 99th percentile [ms] of the messages counted."""
-        with self._lock:
-            values = np.array(self._done)
-        if len(values) == 0:
-            return {"count": 0}
-        p50, p99 = np.percentile(values, [50, 99])
-        return {"count": len(values), "p50_ms": round(float(p50), 1), "p99_ms": round(float(p99), 1)}
-
-
-class Inputs:
-    """The newest controls, and whose they are: one browser drives at a time.
-
-    Args:
-        clock: Returns the time [s].
-
-    Attributes:
-        device: Kind of device that drives.
-        latencies: Of the messages of the browser that drives.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._lock = clock, threading.Lock()
-        self._controls, self._heard = Controls(), -np.inf
-        self._driver: object | None = None
-        self._active_at = -np.inf
-        self.device = "none"
-        self.latencies = Latencies()
-
-    def put(self, source: object, message: protocol.Input) -> bool:
-        """Take in a message of a browser; returns whether that browser drives."""
-        with self._lock:
-            now = self._clock()
-            resting = now - self._active_at > DRIVER_REST_S
-            active = message.controls.active
-            if self._driver is None or (source is not self._driver and resting and active):
-                self._driver = source
-            if source is not self._driver:
-                return False
-            if active:
-                self._active_at = now
-            self._controls, self._heard, self.device = message.controls, now, message.device
-            if message.sent_s > 0.0:
-                self.latencies.arrived(message.sent_s)
-            return True
-
-    def gone(self, source: object) -> None:
-        """Forget a browser that has left: if it drove, nobody does."""
-        with self._lock:
-            if self._driver is source:
-                self._driver, self._controls, self._heard, self.device = None, Controls(), -np.inf, "none"
-
-    def latest(self) -> Controls:
-        """Return the newest controls with their age, for the next command."""
-        with self._lock:
-            self.latencies.taken()
-            return replace(self._controls, age_s=float(min(self._clock() - self._heard, 1e6)))
 
 
 @dataclass(eq=False)
