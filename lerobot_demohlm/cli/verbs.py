@@ -237,6 +237,12 @@ VERBS = (
         example="demohlm benchmark reach --output docs/reach.png",
     ),
     Verb(
+        name="benchmark teleoperation",
+        group="benchmarks",
+        help="measure the latency and pace of the page's server with a headset and a spectator",
+        example="demohlm benchmark teleoperation --seconds 60",
+    ),
+    Verb(
         name="train-controller",
         group="training",
         help="train the whole-body controller by reinforcement learning",

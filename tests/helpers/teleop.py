@@ -18,6 +18,7 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.registry import get_task
+from lerobot_demohlm.benchmarks import teleoperation
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.session import RecordingSession, SessionSettings
 from lerobot_demohlm.teleop.web.protocol import room_pose
@@ -25,18 +26,6 @@ from lerobot_demohlm.teleop.web.record import operators_place
 from lerobot_demohlm.teleop.web.server import TeleopServer
 
 IWER = "iwer@2.5.0"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = [
-    "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
-    "--no-first-run", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-HEADSET = """
-const device = new IWER.XRDevice(IWER.metaQuest3);
-device.installRuntime({forceInstall: true});
-device.position.set(0, 1.6, 0);
-for (const [side, x] of [["left", -0.2], ["right", 0.2]]) device.controllers[side].position.set(x, 1.2, -0.3);
-window.headset = device;
-"""
 SIDES = ("left", "right")
 
 
@@ -101,10 +90,9 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
 def find_browser() -> str:
     """Return the path of a browser; skips the test where there is none."""
     pytest.importorskip("playwright.sync_api", reason="the page is not tested: install playwright (uv sync)")
-    for name in BROWSERS:
-        path = shutil.which(name)
-        if path is not None:
-            return path
+    path = teleoperation.find_browser()
+    if path is not None:
+        return path
     pytest.skip("the page is not tested: no browser here (Debian: apt-get install chromium)")
 
 

@@ -8,10 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from gym_demohlm.robot.g1 import SIDES
 from lerobot_demohlm.teleop.clutch import Controls
+from lerobot_demohlm.teleop.smoothing import PoseSmoother, SmoothingSettings
 from lerobot_demohlm.teleop.web import protocol
 
 DRIVER_REST_S = 0.5  # after which another operator's browser may take over
+SMOOTHING = SmoothingSettings()
 
 
 class Latencies:
@@ -55,19 +58,25 @@ class Inputs:
 
     Args:
         clock: Returns the time [s].
+        smoothing: How poses of hands and head are smoothed, at the rate at which they come; None for not at all.
 
     Attributes:
         device: Kind of device that drives.
         latencies: Of the messages of the browser that drives.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        smoothing: SmoothingSettings | None = SMOOTHING,
+    ) -> None:
         self._clock, self._lock = clock, threading.Lock()
         self._controls, self._heard = Controls(), -np.inf
         self._driver: object | None = None
         self._active_at = -np.inf
         self.device = "none"
         self.latencies = Latencies()
+        self._smoothers = {name: PoseSmoother(smoothing) for name in ("left", "right", "head")}
 
     def put(self, source: object, message: protocol.Input) -> bool:
         """Take in a message of a browser; returns whether that browser drives."""
@@ -81,10 +90,24 @@ class Inputs:
                 return False
             if active:
                 self._active_at = now
-            self._controls, self._heard, self.device = message.controls, now, message.device
+            time_s = message.sent_s if message.sent_s > 0.0 else now
+            self._controls, self._heard, self.device = self._smoothed(message.controls, time_s), now, message.device
             if message.sent_s > 0.0:
                 self.latencies.arrived(message.sent_s)
             return True
+
+    def _smoothed(self, controls: Controls, time_s: float) -> Controls:
+        """Return controls with smoothed poses; a hand that is engaged anew begins where it is."""
+        hands = {}
+        for side, hand, before in zip(SIDES, controls.hands, self._controls.hands, strict=True):
+            smoother = self._smoothers[side]
+            if hand.pose is None or hand.engaged != before.engaged:
+                smoother.reset()
+            hands[side] = hand if hand.pose is None else replace(hand, pose=smoother(hand.pose, time_s))
+        head = controls.head
+        if head is not None:
+            head = self._smoothers["head"](head, time_s)
+        return replace(controls, head=head, **hands)
 
     def gone(self, source: object) -> None:
         """Forget a browser that has left: if it drove, nobody does."""

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.teleop import FLAGS, fetch_iwer, find_browser
+from lerobot_demohlm.benchmarks.teleoperation import FLAGS
+from tests.helpers.teleop import fetch_iwer, find_browser
 
 
 @pytest.fixture(scope="session")

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_demohlm.benchmarks.teleoperation import HEADSET
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.replay import replay
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.teleop.clutch import DEAD_ZONE, WALK_SPEED
 from lerobot_demohlm.teleop.record import script_of
-from tests.helpers.teleop import HEADSET, HeadsetHands, Served, opened, statuses, view_of, wait_for
+from tests.helpers.teleop import HeadsetHands, Served, opened, statuses, view_of, wait_for
 
 PAD = """
 window.pad = {index: 0, connected: true, mapping: "standard", axes: [0, 0, 0, 0],
