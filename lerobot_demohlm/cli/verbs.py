@@ -243,6 +243,12 @@ VERBS = (
         example="demohlm benchmark teleoperation --seconds 60",
     ),
     Verb(
+        name="benchmark perturbed",
+        group="benchmarks",
+        help="measure generation from demonstrations of operators who are late, tremble, pause and lose tracking",
+        example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
+    ),
+    Verb(
         name="train-controller",
         group="training",
         help="train the whole-body controller by reinforcement learning",

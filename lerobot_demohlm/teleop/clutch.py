@@ -26,6 +26,7 @@ LEASH_M = 0.12  # how far keys and sticks may lead a palm's target from the palm
 HAND_SPEED = np.array([0.25, 0.25, 0.25, 1.0, 1.0, 1.0])  # m/s and rad/s of a hand rate of 1
 WALK_SPEED = ((-0.25, 0.45), (-0.25, 0.25), (-0.5, 0.5))  # m/s, m/s, rad/s of a stick at -1 and 1
 DEAD_ZONE = 0.12  # of a stick
+SETTLING_STEPS = 20  # after a walk, in which a robot still steps and its hands go with it (2 s)
 LIFT_SPEED = 0.2  # m/s
 DEEPEST_SQUAT = command.LOWER[command.HEIGHT] - g1.PELVIS_HEIGHT  # m
 GRIP_NEAR = 0.15  # a trigger this near to the gripper's value takes it over at once
@@ -153,7 +154,8 @@ class PoseClutch:
 class Clutch:
     """Controls of both hands, head and sticks -> the poses and velocity that an operator asks for.
 
-    Targets stay where they are in the world while the robot stands, and go with it while it walks.
+    Targets stay where they are in the world while the robot stands, and go with it while it walks and comes to rest:
+    what it holds has gone on with it.
 
     Args:
         scale: Metres of a palm for a metre of a hand.
@@ -167,7 +169,8 @@ class Clutch:
         self._squat = 0.0  # m below the standing height
         self._grippers = np.zeros(2)
         self._grip_live = [False, False]
-        self._base: np.ndarray | None = None  # (4, 4) on the floor, of the step before, while it walks
+        self._base: np.ndarray | None = None  # (4, 4) on the floor, of the step before, while targets go with it
+        self._settling = 0  # steps for which they still do
 
     @property
     def engaged(self) -> tuple[bool, bool]:
@@ -192,7 +195,7 @@ class Clutch:
         self._targets = None if T_world_hands is None else T_world_hands.copy()
         self._grippers = np.zeros(2) if grippers is None else np.array(grippers, dtype=np.float64)
         self._head_target = None if T_world_head is None else T_world_head.copy()
-        self._squat, self._grip_live, self._base = 0.0, [False, False], None
+        self._squat, self._grip_live, self._base, self._settling = 0.0, [False, False], None, 0
 
     def poses(self, controls: Controls, view: SceneView) -> OperatorPoses:
         """Return what the robot should do in this step of 0.1 s.
@@ -249,7 +252,8 @@ class Clutch:
                 self._head_target = moved @ self._head_target
             for clutch in (*self._hands, self._head):
                 clutch.carry(moved)
-        self._base = base if walking else None
+        self._settling = SETTLING_STEPS if walking else max(self._settling - 1, 0)
+        self._base = base if self._settling else None
 
     def _grip(self, index: int, hand: HandControls) -> float:
         """Return the gripper's value: the trigger's; a gripper left closed waits until the trigger is pressed again."""

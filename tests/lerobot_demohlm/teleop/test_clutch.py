@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_demohlm import poses
-from lerobot_demohlm.teleop.clutch import LEASH_M, SILENCE_S, Clutch, Controls, HandControls
+from lerobot_demohlm.teleop.clutch import LEASH_M, SETTLING_STEPS, SILENCE_S, Clutch, Controls, HandControls
 from lerobot_demohlm.teleop.operator import SceneView
 
 ANGLES = st.floats(-math.pi, math.pi)
@@ -121,6 +121,12 @@ def test_hands_go_with_a_robot_that_walks_and_stay_in_the_world_when_it_stands()
     clutch.poses(walking, view())
     ahead = poses.planar(0.3, 0.1, 0.4)
     np.testing.assert_allclose(clutch.poses(walking, view(ahead)).T_world_hands, ahead @ start, atol=1e-12)
+    further = poses.planar(0.35, 0.1, 0.4)  # it still steps after the stick was let go
+    for _ in range(SETTLING_STEPS):
+        rested = clutch.poses(standing, view(further)).T_world_hands
+    np.testing.assert_allclose(rested, further @ start, atol=1e-12)
+    swayed = clutch.poses(standing, view(poses.planar(0.37, 0.1, 0.4))).T_world_hands
+    np.testing.assert_allclose(swayed, further @ start, atol=1e-12)
 
 
 def test_a_hand_engaged_while_walking_keeps_its_offset() -> None:

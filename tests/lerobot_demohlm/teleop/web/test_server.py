@@ -14,9 +14,11 @@ import aiohttp
 import numpy as np
 import pytest
 
+from lerobot_demohlm.teleop.clutch import RETURN_M
 from lerobot_demohlm.teleop.web import protocol
 from lerobot_demohlm.teleop.web.certificate import make_context
 from lerobot_demohlm.teleop.web.server import MAX_REFUSED
+from tests.helpers.slow_network import slow_network
 from tests.helpers.teleop import Served
 
 WALK = {"type": "input", "walk": [1, 0, 0], "device": "other"}
@@ -212,6 +214,51 @@ def test_silence_and_a_closed_tab_stop_the_robot(served: Served) -> None:
         await until(False, 3)  # a closed tab
 
     connected(served.invite(), act)
+
+
+def test_a_slow_network_that_loses_packets_neither_throws_the_hands_nor_ends_the_session(served: Served) -> None:
+    """500 ms each way, and a fifth of what is sent comes later still: the robot follows in pieces, and stands alone."""
+    targets, stood = [], []
+
+    async def look() -> None:
+        while True:
+            targets.append(served.session.targets[1, :3, 3].copy())
+            await asyncio.sleep(0.05)
+
+    async def act(port: int) -> None:
+        address = served.invite().replace(str(served.server.port), str(port))
+        async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as http:
+            async with http.get(address) as page:
+                assert page.status == 200
+            async with http.ws_connect(address.partition("/?")[0] + "/ws") as socket:
+                client = Client(http, socket)
+                looking = asyncio.create_task(look())
+                for number in range(180):  # 6 s: the hand goes up by 0.2 m in 2 s, and stays
+                    hand = {"pose": [0, 1 + 0.1 * min(number / 30, 2.0), 0, 1, 0, 0, 0], "engaged": True}
+                    await client.send(type="input", seq=number, hands={"right": hand}, walk=[0.5, 0, 0])
+                    await asyncio.sleep(1 / 30)
+                walked = asyncio.get_running_loop().time()
+                while speed(served) > 0.0 or not stood:
+                    stood.append(speed(served) == 0.0)
+                    await asyncio.sleep(0.01)
+                    assert asyncio.get_running_loop().time() - walked < 3.0
+                looking.cancel()
+                await client.send(type="press", button="record")
+                while (await client.hear("status"))["state"] != "recording":
+                    pass
+                await client.send(type="press", button="discard")
+                while (await client.hear("status"))["state"] != "idle":
+                    pass
+
+    async def run() -> None:
+        async with slow_network(served.server.port, 0.5, 0.2) as port:
+            await act(port)
+
+    connected(served.invite(), lambda client: client.send(type="press", button="discard"))
+    asyncio.run(run())
+    ways = np.linalg.norm(np.diff(targets, axis=0), axis=1)
+    assert ways.max() <= RETURN_M + 0.05  # what the clutch lets a hand catch up with, and a step of the walk
+    assert targets[-1][2] - targets[0][2] == pytest.approx(0.2, abs=0.03)
 
 
 def test_certificates_are_made_on_the_spot() -> None:

@@ -1,0 +1,155 @@
+"""Demonstrations of operators who move as people do -> how often episodes are generated from each: lines, a table.
+
+A line stands for one operator of one task: what it took to record, and how the attempts ended. Lines that are there
+already are not measured again, so a run that was killed goes on where it was.
+"""
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm import jsonl
+from gym_demohlm.errors import DatasetError, DemonstrationError
+from gym_demohlm.task import DEFAULT_REGION, Task
+from lerobot_demohlm.checks import portability
+from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.reproducibility.results import append_result
+from lerobot_demohlm.teleop.perturbed import record_perturbed
+
+COMMAND = "demohlm benchmark perturbed"
+GOOD = 0.95  # share of attempts that succeed with a demonstration that one can work with
+TOGETHER = 10
+SEED = 980_000  # of the attempts' starts; not one that datasets use
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerturbedLine:
+    """What one operator's demonstration of one task gave.
+
+    Attributes:
+        task: Name of the task.
+        operator: Seed of the operator.
+        region: Where attempts start.
+        attempts: Asked for; none are made where there is no demonstration.
+        successes: Of these.
+        tries: Recordings until one succeeded.
+        steps: Length of the demonstration, in steps of 0.1 s.
+        delay_ms: Of the operator [ms].
+        reasons: Why attempts failed, each with how many did.
+        refusal: Why there is no demonstration; empty where there is one.
+        stamp: Of the task, see ``portability.stamp``.
+        recording: Of the demonstration: the first digits of its content hash.
+    """
+
+    task: str
+    operator: int
+    region: str
+    attempts: int
+    successes: int
+    tries: int
+    steps: int
+    delay_ms: float
+    reasons: list[Any]
+    refusal: str
+    stamp: str
+    recording: str
+
+    @property
+    def good(self) -> bool:
+        """Whether one can work with it."""
+        return not self.refusal and self.successes >= GOOD * self.attempts
+
+
+def measure(
+    tasks: Sequence[Task],
+    operators: Iterable[int],
+    attempts: int,
+    append: Path,
+    root: Path,
+    region: str = DEFAULT_REGION,
+) -> Iterator[PerturbedLine]:
+    """Measure what is not in a file yet, append it there, and yield every line asked for.
+
+    Args:
+        tasks: The tasks.
+        operators: Seeds of the operators, the same for all tasks.
+        attempts: Attempts from each demonstration.
+        append: The file of lines.
+        root: Folder for the demonstrations; those of earlier runs are removed.
+        region: Where attempts start.
+
+    Raises:
+        DatasetError: ``attempts`` is less than 1.
+    """
+    if attempts < 1:
+        raise DatasetError(f"attempts={attempts}", "1 or more", "correct --num-attempts")
+    known = {_key(line): line for line in read(append)} if append.exists() else {}
+    for operator in operators:
+        for task in tasks:
+            key = (task.name, operator, region, attempts, portability.stamp(task))
+            line = known.get(key)
+            if line is None:
+                values = _measure(task, operator, attempts, root / f"{task.slug}_{operator}", region)
+                append_result(append, f"{COMMAND} --tasks {task.name} --num-attempts {attempts}", values)
+                line = jsonl.parse(PerturbedLine, values, str(append))
+            yield line
+
+
+def _key(line: PerturbedLine) -> tuple[Any, ...]:
+    return (line.task, line.operator, line.region, line.attempts, line.stamp)
+
+
+def _measure(task: Task, operator: int, count: int, root: Path, region: str) -> dict[str, Any]:
+    shutil.rmtree(root, ignore_errors=True)
+    root.parent.mkdir(parents=True, exist_ok=True)
+    began = time.perf_counter()
+    values: dict[str, Any] = {"task": task.name, "operator": operator, "region": region, "attempts": count}
+    values |= {"successes": 0, "stamp": portability.stamp(task), "reasons": [], "refusal": ""}
+    try:
+        recorded = record_perturbed(task, operator, root)
+    except DemonstrationError as error:
+        return values | {"tries": 0, "steps": 0, "delay_ms": 0.0, "recording": "", "refusal": str(error)}
+    demonstration = recorded.demonstration
+    made = Attempts(task, demonstration, region, SEED, num_worlds=min(TOGETHER, count))
+    episodes = made.run(range(count))
+    made.close()
+    failed = Counter(f"{e.outcome}: {e.reason.partition(' (')[0]}" for e in episodes if e.outcome != "success")
+    return values | {
+        "successes": sum(episode.outcome == "success" for episode in episodes),
+        "tries": recorded.tries,
+        "steps": len(demonstration),
+        "delay_ms": round(1e3 * recorded.person.delay_s, 1),
+        "reasons": [list(entry) for entry in failed.most_common()],
+        "recording": demonstration.content_hash[:12],
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+
+
+def read(path: Path) -> list[PerturbedLine]:
+    """Return the lines of a file, of several measurements of the same the last one."""
+    last: dict[tuple[str, int, str], PerturbedLine] = {}
+    for line in jsonl.read_as(PerturbedLine, path):
+        last[(line.task, line.operator, line.region)] = line
+    return list(last.values())
+
+
+def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
+    """Return lines as a Markdown table with a row for each of some tasks."""
+    rows = ["| task | demonstrations | with 95 % or more | attempts | success [%] | lowest [%] | recordings needed |"]
+    rows.append("|---|---|---|---|---|---|---|")
+    for task in tasks:
+        found = [line for line in lines if line.task == task and not line.refusal]
+        if not found:
+            continue
+        attempts, successes = (sum(getattr(line, name) for line in found) for name in ("attempts", "successes"))
+        lowest = min(line.successes / line.attempts for line in found)
+        tries = sum(line.tries for line in found)
+        rows.append(
+            f"| {task} | {len(found)} | {sum(line.good for line in found)} | {attempts} "
+            f"| {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} |"
+        )
+    return "\n".join(rows)
