@@ -7,7 +7,7 @@ shows it, and leads it back where it has gone astray. What it does is a function
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,7 +34,7 @@ WATCHING_GAIN = 0.2  # share of what a target is off that a person makes up for 
 WAITING_M = 0.03  # a person waits for a target that is further off
 TREMOR_HZ = (4.0, 12.0)
 WAVES = 4  # sinusoids of a tremor, an axis
-MAX_TRIES = 6  # recordings that did not succeed, after which a person gives up
+MAX_TRIES = 10  # recordings after which a person gives up
 AT_END_TICKS = 40  # a person waits so long for success to last
 
 
@@ -265,7 +265,7 @@ class Recorded:
         demonstration: As it was saved.
         person: Who gave it.
         tries: Recordings that it took.
-        refusals: Why those before it could not be saved.
+        refusals: Why those before it were not saved.
     """
 
     demonstration: Demonstration
@@ -274,13 +274,16 @@ class Recorded:
     refusals: tuple[str, ...]
 
 
-def record_perturbed(task: Task, seed: int, root: Path) -> Recorded:
-    """Record a task as a person would, who begins anew where a recording did not succeed.
+def record_perturbed(
+    task: Task, seed: int, root: Path, judge: Callable[[Demonstration], str] = lambda _: ""
+) -> Recorded:
+    """Record a task as a person would, who begins anew where a recording did not succeed, or its trial was bad.
 
     Args:
         task: The task; it has a script.
         seed: Of the person.
         root: Where the demonstration goes; must not exist.
+        judge: Given a recording that succeeded; returns why the person tries again, or nothing.
 
     Raises:
         DemonstrationError: No recording of several succeeded.
@@ -295,17 +298,20 @@ def record_perturbed(task: Task, seed: int, root: Path) -> Recorded:
             _perform(session, PerturbedOperator(script.make_operator(), person, rng))
             verdict = session.status().verdict
             assert verdict is not None  # it is in review
-            if not verdict.refusal:
+            why = verdict.refusal if session.recorded is None else judge(session.recorded)
+            if not why:
                 session.press("save")
                 saved = demonstrations.load(root, task)
                 return Recorded(demonstration=saved, person=person, tries=number + 1, refusals=tuple(refusals))
-            refusals.append(verdict.refusal)
+            refusals.append(why)
             session.press("discard")
-            person = draw_person(np.random.default_rng([STREAM, seed, 0, number]))
+            again = draw_person(np.random.default_rng([STREAM, seed, 0, number]))  # troubles at other times
+            person = replace(person, pauses=again.pauses, regrips=again.regrips, losses=again.losses)
     finally:
         session.close()
         session.journal.remove()
-    raise DemonstrationError(f"{MAX_TRIES} recordings of {task.name} that failed: {refusals[-1]}", "one", "see why")
+    got = f"{MAX_TRIES} recordings of {task.name} in vain, the last one with {refusals[-1]}"
+    raise DemonstrationError(got, "a good one", "see why they fail")
 
 
 def _perform(session: RecordingSession, operator: PerturbedOperator) -> None:

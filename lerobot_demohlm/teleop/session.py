@@ -227,6 +227,11 @@ class RecordingSession:
         """(2, 4, 4) what is asked of the palms; where they are, before anything was asked."""
         return self.recorder.view().T_world_hands if self._asked is None else self._asked.T_world_hands
 
+    @property
+    def recorded(self) -> Demonstration | None:
+        """What would be saved, in review; None elsewhere, or where it cannot be."""
+        return None if self._review is None or self._review.refusal else self._review.demonstration
+
     def view(self) -> SceneView:
         """Return what the operator sees."""
         return self.recorder.view()

@@ -17,6 +17,7 @@ class Options:
         first: Seed of the first operator.
         num_operators: Operators, each with a demonstration of each task.
         num_attempts: Attempts from each demonstration.
+        num_trial: Attempts of the trial that operators look at before they save; 0 for none.
         region: Where attempts start, R1 to R3.
         append: File of JSON lines with the results; what is in it is not measured again.
         root: Folder for the demonstrations.
@@ -26,6 +27,7 @@ class Options:
     first: int = 0
     num_operators: int = 20
     num_attempts: int = 20
+    num_trial: int = 20
     region: str = DEFAULT_REGION
     append: Path = Path("results/perturbed.jsonl")
     root: Path = Path("outputs/perturbed")
@@ -35,6 +37,9 @@ def run(options: Options) -> None:
     """Measure what is missing and print the table in Markdown."""
     from gym_demohlm.registry import all_tasks, get_task
     from lerobot_demohlm.benchmarks.perturbed import measure, table
+    from lerobot_demohlm.reproducibility.processes import hush_torchcodec
+
+    hush_torchcodec()
 
     names = options.tasks or tuple(all_tasks())
     operators = range(options.first, options.first + options.num_operators)
@@ -46,7 +51,9 @@ def run(options: Options) -> None:
         options.append,
         options.root,
         options.region,
+        options.num_trial,
     ):
-        print(f"{line.task} {line.operator}: {line.successes} of {line.attempts} {line.refusal}", flush=True)
+        found = f"{line.successes} of {line.attempts} attempts, {line.tries} recordings"
+        print(f"{line.task} {line.operator}: {line.refusal or found}", flush=True)
         lines.append(line)
     print(table(lines, names))

@@ -13,8 +13,8 @@ from lerobot_demohlm.benchmarks.perturbed import PerturbedLine, measure, read, t
 from lerobot_demohlm.checks import portability
 
 LINE = PerturbedLine(
-    task="PressCube", operator=0, region="R3", attempts=20, successes=19, tries=2, steps=90, delay_ms=100.0,
-    reasons=[["timeout: never", 1]], refusal="", stamp="", recording="abc",
+    task="PressCube", operator=0, region="R3", attempts=20, successes=19, trial=20, tries=2, failed=1, steps=90,
+    delay_ms=100.0, reasons=[["timeout: never", 1]], refusal="", stamp="", recording="abc",
 )  # fmt: skip
 
 
@@ -23,7 +23,7 @@ def test_the_table_counts_what_the_lines_say() -> None:
     refused = replace(LINE, operator=2, successes=0, refusal="no success")
     assert LINE.good and not worse.good and not refused.good
     shown = table([LINE, worse, refused, replace(LINE, task="LiftBox")], ["PressCube", "PushCart"])
-    assert shown.splitlines()[2:] == ["| PressCube | 2 | 1 | 40 | 72.5 | 50 | 3 |"]
+    assert shown.splitlines()[2:] == ["| PressCube | 2 | 1 | 40 | 72.5 | 50 | 3 | 2 |"]
 
 
 def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
