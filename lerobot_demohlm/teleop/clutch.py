@@ -164,6 +164,7 @@ class Clutch:
     def __init__(self, scale: float = 1.0) -> None:
         self._hands = [PoseClutch(scale) for _ in SIDES]
         self._head = PoseClutch(scale)
+        self._led = [False, False]  # by keys or sticks
         self._targets: np.ndarray | None = None  # (2, 4, 4)
         self._head_target: np.ndarray | None = None  # (4, 4)
         self._squat = 0.0  # m below the standing height
@@ -174,8 +175,9 @@ class Clutch:
 
     @property
     def engaged(self) -> tuple[bool, bool]:
-        """Whether the left and the right palm follow a device."""
-        return self._hands[0].engaged, self._hands[1].engaged
+        """Whether the left and the right palm follow a device, keys or sticks."""
+        left, right = (clutch.engaged or led for clutch, led in zip(self._hands, self._led, strict=True))
+        return left, right
 
     def reset(
         self,
@@ -192,6 +194,7 @@ class Clutch:
         """
         for clutch in (*self._hands, self._head):
             clutch.release()
+        self._led = [False, False]
         self._targets = None if T_world_hands is None else T_world_hands.copy()
         self._grippers = np.zeros(2) if grippers is None else np.array(grippers, dtype=np.float64)
         self._head_target = None if T_world_head is None else T_world_head.copy()
@@ -213,6 +216,7 @@ class Clutch:
         robot_yaw = float(poses.yaw(base))
         operator_yaw = 0.0 if controls.head is None else _heading(controls.head)
         for index, (hand, clutch) in enumerate(zip(controls.hands, self._hands, strict=True)):
+            self._led[index] = present and hand.engaged and bool(hand.rate.any())
             if not present:
                 clutch.pause()
                 continue

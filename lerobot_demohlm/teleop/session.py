@@ -247,7 +247,7 @@ class RecordingSession:
             controls: The newest.
         """
         if self._waiting and controls.active:
-            self._waiting = False
+            self._waiting, self.message = False, "recording"
         if self.paused:
             return
         asked = self.clutch.poses(controls, self.recorder.view())

@@ -36,12 +36,20 @@ class Served:
         task: Name of the task.
         root: Where its demonstration goes.
         settings: Of the session; no trial by default.
+        prepare: Does something with the session before it is served.
     """
 
-    def __init__(self, task: str, root: Path, settings: SessionSettings | None = None) -> None:
+    def __init__(
+        self,
+        task: str,
+        root: Path,
+        settings: SessionSettings | None = None,
+        prepare: Callable[[RecordingSession], object] = lambda _session: None,
+    ) -> None:
         self.task = get_task(task)
         settings = settings or SessionSettings(trial=None)
         self.session = RecordingSession(self.task, root, operators_place(self.task), settings=settings)
+        prepare(self.session)
         announced: list[str] = []
         self.server = TeleopServer(self.session, port=0, announce=announced.append)
         self._loop = asyncio.new_event_loop()
