@@ -2,11 +2,11 @@
 
 On disk: ``start.npz`` (the world and the command before the first row), ``start.json`` (task, hashes, who and where),
 and ``rows.bin``, one record of fixed size a step: the command, and the poses that were asked for. All else that a
-demonstration holds follows from these bit for bit. A record that was only half written is left out.
+demonstration holds follows from these bit for bit. A record that was only half written is left out. Each record is
+handed to the system at once, which keeps it when the process is killed; waiting for the disk would hold up the world.
 """
 
 import json
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,6 @@ import numpy as np
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 
-SYNC_ROWS = 10  # rows after which the disk must have them (1 s)
 _ROW = np.dtype([("action", "<f4", (command.SIZE,)), ("hands", "<f8", (2, 7)), ("head", "<f8", (4, 4))])
 
 
@@ -76,8 +75,6 @@ class Journal:
         row["head"] = np.nan if head_target is None else head_target
         self._file.write(row.tobytes())
         self._file.flush()
-        if self._file.tell() // _ROW.itemsize % SYNC_ROWS == 0:
-            os.fsync(self._file.fileno())
 
     def cut(self, rows: int) -> None:
         """Keep only so many rows."""

@@ -113,6 +113,8 @@ class Recorder:
     def __init__(self, sim: Simulation) -> None:
         self.sim = sim
         self.model_hash = provenance.model_hash(sim.model)
+        # Both read files: not while the world runs.
+        self._versions, self._controller_hash = installed_versions(), provenance.controller_hash()
         self.rows: list[Row] = []
         self.solution: IKSolution | None = None
         self._ik = WholeBodyIK(sim.model)
@@ -212,9 +214,9 @@ class Recorder:
                 "task": self.sim.task.name,
                 "operator": operator,
                 "stance": start,
-                "controller_hash": provenance.controller_hash(),
+                "controller_hash": self._controller_hash,
                 "model_hash": self.model_hash,
-                "versions": installed_versions(),
+                "versions": dict(self._versions),
                 "processor": platform.machine(),
             }
             | (facts or {}),

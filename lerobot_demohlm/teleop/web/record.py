@@ -14,6 +14,8 @@ from lerobot_demohlm.teleop.session import SAVED, RecordingSession, SessionSetti
 from lerobot_demohlm.teleop.trial import TrialSettings
 from lerobot_demohlm.teleop.web.server import TeleopServer
 
+SWITCH_S = 0.001  # the world's thread and that of the browsers take turns this often
+
 
 @dataclass(frozen=True, kw_only=True)
 class WebSettings:
@@ -59,6 +61,7 @@ def record_in_browser(task: Task, root: Path, settings: WebSettings | None = Non
     """
     settings = settings or WebSettings()
     session = RecordingSession(task, root, operators_place(task), settings=settings.session)
+    sys.setswitchinterval(SWITCH_S)
     server = TeleopServer(session, settings.host, settings.port, lambda line: print(line, flush=True))
     try:
         server.run()
