@@ -358,7 +358,9 @@ class RecordingSession:
         assert verdict is not None
         refusal = verdict.refusal
         if not refusal and verdict.trial is not None and verdict.trial.hopeless:
-            refusal = verdict.trial.error or f"none of {verdict.trial.done} attempts generated from it succeeded"
+            trial = verdict.trial
+            reasons = ", ".join(f"{count} x {reason}" for reason, count in trial.reasons)
+            refusal = trial.error or f"none of {trial.done} attempts generated from it succeeded ({reasons})"
         if refusal or review.demonstration is None:
             raise DemonstrationError(refusal or "nothing recorded", "one that can be generated from", "record it again")
         if verdict.trial is not None:

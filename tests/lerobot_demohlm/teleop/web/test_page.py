@@ -90,6 +90,7 @@ def test_keys_move_hands_walk_grip_and_record(served: Served, browser: Any) -> N
         page.wait_for_function("demohlm.status.state === 'idle'")
 
 
+@pytest.mark.slow
 def test_the_mouse_moves_a_hand_in_the_plane_of_the_view(served: Served, browser: Any) -> None:
     with opened(browser, served.invite()) as page:
         steps(page, 2)

@@ -216,6 +216,7 @@ def test_silence_and_a_closed_tab_stop_the_robot(served: Served) -> None:
     connected(served.invite(), act)
 
 
+@pytest.mark.slow
 def test_a_slow_network_that_loses_packets_neither_throws_the_hands_nor_ends_the_session(served: Served) -> None:
     """500 ms each way, and a fifth of what is sent comes later still: the robot follows in pieces, and stands alone."""
     targets, stood = [], []
