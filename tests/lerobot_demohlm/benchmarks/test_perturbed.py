@@ -11,6 +11,7 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks import perturbed
 from lerobot_demohlm.benchmarks.perturbed import PerturbedLine, measure, read, table
 from lerobot_demohlm.checks import portability
+from tests.helpers.paths import REPOSITORY
 
 LINE = PerturbedLine(
     task="PressCube", operator=0, region="R3", attempts=20, successes=19, trial=20, tries=2, failed=1, steps=90,
@@ -43,3 +44,10 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
     assert read(path) == lines
     with pytest.raises(DatasetError, match="attempts=0"):
         list(measure([task], [0], 0, path, tmp_path / "root"))
+
+
+def test_the_documented_table_is_that_of_the_results() -> None:
+    lines = read(REPOSITORY / "results/perturbed.jsonl")
+    text = (REPOSITORY / "docs/teleoperation.md").read_text()
+    shown = text.partition("<!-- perturbed -->")[2].partition("<!-- /perturbed -->")[0]
+    assert shown.strip() == table(lines, list(dict.fromkeys(line.task for line in lines)))

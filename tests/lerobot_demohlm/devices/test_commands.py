@@ -25,7 +25,7 @@ def run(tmp_path: Path, name: str, *options: str) -> None:
     assert done.returncode == 0, done.stderr[-3000:]
 
 
-def test_record_then_replay(tmp_path: Path) -> None:
+def test_record_then_train_and_replay(tmp_path: Path) -> None:
     root = tmp_path / "recorded"
     of_dataset = ["--dataset.repo_id=local/recorded", f"--dataset.root={root}"]
     run(
@@ -43,6 +43,11 @@ def test_record_then_replay(tmp_path: Path) -> None:
     home = states[:, :29][episodes == 0][0]
     assert np.abs(first[1][:29] - home).max() < 0.1  # it stood at a start again
     assert np.abs(actions[episodes == 1][-1, command.ARMS] - command.rest()[command.ARMS]).max() > 0.05
+    run(
+        tmp_path, "lerobot-train", *of_dataset, "--policy.type=chunked_mlp", "--policy.device=cpu",
+        "--policy.push_to_hub=false", f"--output_dir={tmp_path / 'trained'}", "--steps=2", "--batch_size=4",
+        "--num_workers=0", "--save_checkpoint=false",
+    )  # fmt: skip
     run(
         tmp_path, "lerobot-replay", "--robot.type=demohlm_g1", *of_dataset, "--dataset.episode=1", "--play_sounds=false"
     )
