@@ -14,11 +14,11 @@ from tests.helpers.paths import REPOSITORY
 ORDER = {
     "gym_demohlm": (
         "errors", "jsonl", "timing", "arithmetic", "poses", "robot", "task", "control", "registry", "scene",
-        "simulation", "tasks", "envs", "wbc.evaluation", "wbc.training",
+        "simulation", "perception", "tasks", "envs", "wbc.evaluation", "wbc.training",
     ),
     "lerobot_demohlm": (
         "reproducibility", "drawing", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation",
-        "teleop", "experiments", "reports", "quickstart", "benchmarks", "cli",
+        "teleop", "devices", "experiments", "reports", "quickstart", "benchmarks", "cli",
     ),
 }  # fmt: skip
 """Rooms of each package from the ground up: a module imports from rooms that come before its own, or from its own."""

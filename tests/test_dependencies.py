@@ -18,6 +18,7 @@ CMEEL = {"placo": "placo", "eigenpy": "eigenpy"}
 BY_HAND = {
     "atheris": {"lerobot_demohlm/benchmarks/fuzz_loaders.py"},
     "holosoma_inference": {"gym_demohlm/wbc/evaluation/peer.py"},
+    "playwright": {"lerobot_demohlm/benchmarks/teleoperation.py"},
     "onnxruntime": {"gym_demohlm/wbc/evaluation/peer.py"},
 }
 """Modules that only these files import, and whose docstring or error says how to install them."""

@@ -13,24 +13,44 @@ class Options:
 
     Attributes:
         task: Name of the task, such as LiftBox.
-        teleop: Who operates the robot.
+        teleop: Who operates: the task's script, or a person at a web page with headset, phone, gamepad or keyboard.
+        host: Where to serve the page; https for names other than localhost.
+        port: Where to serve the page; 0 for any that is free.
+        scale: Metres that a palm moves for a metre of the person's hand.
+        operator: Who records at the page; written into the demonstration.
+        trial: Attempts generated from a recording at the page before it is saved; 0 for none.
         root: Directory to write; must not exist.
     """
 
     task: str
-    teleop: Literal["scripted"] = "scripted"
+    teleop: Literal["scripted", "web"] = "scripted"
+    host: str = "localhost"
+    port: int = 8012
+    scale: float = 1.0
+    operator: str = "person"
+    trial: int = 20
     root: Path
 
 
 def run(options: Options) -> None:
-    """Record a demonstration with the task's scripted operator."""
+    """Record a demonstration with the task's scripted operator, or with a person at a page."""
     from gym_demohlm.registry import get_task
-    from lerobot_demohlm.teleop.record import record, script_of
 
     task = get_task(options.task)
     if options.root.exists():
         raise DemonstrationError(f"the root {options.root}, which exists", "a new path", "choose another --root")
-    script = script_of(task)
-    demonstration = record(task, script.make_operator(), script.start)
-    demonstration.save(options.root, task)
-    print(f"{options.root}: {len(demonstration)} ticks by {demonstration.metadata['operator']}")
+    if options.teleop == "web":
+        from lerobot_demohlm.teleop.session import SessionSettings
+        from lerobot_demohlm.teleop.web.record import WebSettings, record_in_browser, trial_settings
+
+        session = SessionSettings(scale=options.scale, operator=options.operator, trial=trial_settings(options.trial))
+        settings = WebSettings(host=options.host, port=options.port, session=session)
+        ticks, name = record_in_browser(task, options.root, settings), options.operator
+    else:
+        from lerobot_demohlm.teleop.record import record, script_of
+
+        script = script_of(task)
+        demonstration = record(task, script.make_operator(), script.start)
+        demonstration.save(options.root, task)
+        ticks, name = len(demonstration), str(demonstration.metadata["operator"])
+    print(f"{options.root}: {ticks} ticks by {name}")

@@ -56,7 +56,7 @@ VERBS = (
     Verb(
         name="record",
         group="demonstrations",
-        help="record a demonstration with the task's scripted operator",
+        help="record a demonstration with the task's scripted operator, or by a person at a web page",
         example="demohlm record --task LiftBox --root demonstrations/lift_box",
     ),
     Verb(
@@ -235,6 +235,18 @@ VERBS = (
         group="benchmarks",
         help="measure how near the palms come to targets, and draw where they can",
         example="demohlm benchmark reach --output docs/reach.png",
+    ),
+    Verb(
+        name="benchmark teleoperation",
+        group="benchmarks",
+        help="measure the latency and pace of the page's server with a headset and a spectator",
+        example="demohlm benchmark teleoperation --seconds 60",
+    ),
+    Verb(
+        name="benchmark perturbed",
+        group="benchmarks",
+        help="measure generation from demonstrations of operators who are late, tremble, pause and lose tracking",
+        example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
         name="train-controller",

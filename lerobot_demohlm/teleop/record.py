@@ -2,36 +2,17 @@
 
 import importlib
 import pkgutil
-import platform
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from gym_demohlm import poses
-from gym_demohlm.control import command
-from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
-from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState, Task
-from lerobot_demohlm.datasets.facts import installed_versions
-from lerobot_demohlm.demonstrations.demonstration import (
-    ARRAYS,
-    FORMAT_VERSION,
-    Demonstration,
-    measure,
-    pose_numbers,
-    require_contact,
-)
-from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk
-from lerobot_demohlm.reproducibility import provenance
+from lerobot_demohlm.demonstrations.demonstration import Demonstration, require_contact
 from lerobot_demohlm.teleop import scripts
-from lerobot_demohlm.teleop.operator import Operator, SceneView
+from lerobot_demohlm.teleop.operator import Operator
+from lerobot_demohlm.teleop.recorder import Recorder, take_over
 
-APPROACH = 0.3  # m that the robot walks to where the operator takes over: so it stands as one that has walked
-EXACT = LocomotionSettings(accept_m=0.035, accept_rad=0.08, max_walks=20, max_ticks=600)
-SETTLE_TICKS = 10  # it stands still before
 MAX_TICKS = 600
 
 
@@ -99,59 +80,18 @@ def record(
         OffCourseError: The robot did not get to the operator's place.
     """
     sim = Simulation(task)
-    model_hash = provenance.model_hash(sim.model)
     start = start or task.default_state()
-    stance = np.array(start["robot"])
-    behind = poses.to_planar(poses.planar(*stance) @ poses.planar(-APPROACH, 0.0, 0.0))
-    sim.reset([start | {"robot": behind.tolist()}])
-    ik = WholeBodyIK(sim.model)
-    for wanted in walk(lambda: sim.pose("pelvis")[0], stance, EXACT):
-        sim.step(wanted[None])
-    for _ in range(SETTLE_TICKS):
-        sim.step(command.rest()[None])
-    snapshot = sim.snapshot()
-    rows: list[dict[str, np.ndarray]] = []
-    last = command.rest()
-    for tick in range(MAX_TICKS):
-        asked = operator.poses(_view(sim, tick))
+    take_over(sim, start)
+    recorder = Recorder(sim)
+    recorder.begin()
+    for _ in range(MAX_TICKS):
+        asked = operator.poses(recorder.view())
         if asked is None:
             break
         if frame is not None:
             frame(sim)
-        solution = ik.solve(
-            T_world_pelvis=sim.pose("pelvis")[0],
-            joint_positions=sim.joint_positions[0],
-            T_world_left=asked.T_world_hands[0],
-            T_world_right=asked.T_world_hands[1],
-            T_world_head=asked.T_world_head,
-            previous=last,
-        )
-        last = solution.command.copy()
-        last[command.GRIPPERS] = asked.grippers
-        last[command.VELOCITY] = asked.velocity
-        last = last.astype(np.float32).astype(np.float64)  # what is recorded is what was applied
-        row = measure(sim) | {"action": last.astype(np.float32), "hand_targets": pose_numbers(asked.T_world_hands)}
-        result = sim.step(last[None])
-        row["contact_forces"] = result.contact_forces[0].mean(axis=0)
-        row["success"] = sim.success()[0]
-        rows.append(row)
-    end = sim.snapshot()
-    demonstration = Demonstration(
-        task=task.name,
-        start=snapshot,
-        end=end,
-        metadata={
-            "format_version": FORMAT_VERSION,
-            "task": task.name,
-            "operator": operator.name,
-            "stance": start,
-            "controller_hash": provenance.controller_hash(),
-            "model_hash": model_hash,
-            "versions": installed_versions(),
-            "processor": platform.machine(),
-        },
-        **{name: np.stack([row[name] for row in rows]) for name in ARRAYS},  # pyright: ignore[reportArgumentType]
-    )
+        recorder.step(asked)
+    demonstration = recorder.demonstration(operator.name, start)
     sim.close()
     require_contact(demonstration)
     if not demonstration.success[-10:].all():
@@ -161,13 +101,3 @@ def record(
             "record it again",
         )
     return demonstration
-
-
-def _view(sim: Simulation, tick: int) -> SceneView:
-    return SceneView(
-        tick=tick,
-        T_world_head=sim.pose("head_camera")[0],
-        T_world_pelvis=sim.pose("pelvis")[0],
-        T_world_hands=np.stack([sim.pose(f"{side}_palm")[0] for side in g1.SIDES]),
-        T_world_objects={entry.name: sim.pose(entry.name)[0] for entry in sim.task.objects},
-    )

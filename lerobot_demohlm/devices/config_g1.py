@@ -1,0 +1,51 @@
+"""Options of the robot ``demohlm_g1``."""
+
+from dataclasses import dataclass
+
+from lerobot.robots.config import RobotConfig
+
+from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.registry import get_task
+
+
+class DeviceError(DemoHLMError):
+    """A device with options that do not fit, or that was asked for something while it was not connected."""
+
+
+@RobotConfig.register_subclass("demohlm_g1")
+@dataclass(kw_only=True)
+class DemoHLMG1Config(RobotConfig):
+    """The Unitree G1 of this project.
+
+    Attributes:
+        task: Whose world it is in.
+        backend: ``sim``.
+        pace: ``clock``: the world runs in real time and takes the newest action at 10 Hz. ``step``: each action is one
+            step of 0.1 s, whatever time passes between them, so that the same actions give the same bits.
+        region: From which each episode's objects are drawn.
+        seed: Of these draws.
+        spread: Share of the region's offsets that is used; the robot begins where the scripted operator would stand.
+        objects: Whether observations hold the objects' poses in the camera frame, behind the robot's own state.
+    """
+
+    task: str = "LiftBox"
+    backend: str = "sim"
+    pace: str = "clock"
+    region: str = "R1"
+    seed: int = 0
+    spread: float = 0.2
+    objects: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            UnknownNameError: There is no such task or region.
+            DeviceError: A backend or pace that does not exist.
+        """
+        super().__post_init__()
+        get_task(self.task).region(self.region)
+        if self.backend != "sim":
+            raise DeviceError(f"backend {self.backend!r}", "sim", "choose --robot.backend=sim")
+        if self.pace not in ("clock", "step"):
+            raise DeviceError(f"pace {self.pace!r}", "clock or step", "choose another --robot.pace")

@@ -1,0 +1,169 @@
+"""A demonstration that has just been recorded -> whether episodes can be generated from it: some attempts, at once.
+
+The attempts run in a process of their own, so that whoever waits for them goes on meanwhile.
+"""
+
+import contextlib
+import importlib
+import multiprocessing
+import os
+import pickle
+from collections import Counter
+from dataclasses import dataclass, field
+from multiprocessing import connection
+from typing import Any
+
+from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION, Task
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.reproducibility.processes import end_with_parent
+
+MIN_TRIED = 5  # attempts after which none that succeeded is a verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialSettings:
+    """What is tried.
+
+    Attributes:
+        attempts: How many.
+        region: Where they start.
+        seed: Of their starts; not one that datasets use.
+        together: Attempts that run side by side in one simulation.
+    """
+
+    attempts: int = 20
+    region: str = DEFAULT_REGION
+    seed: int = 990_000
+    together: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialReport:
+    """How a trial stands.
+
+    Attributes:
+        attempts: To be made.
+        done: Made so far.
+        successes: Of these.
+        reasons: Reason of failure and how often, the most frequent first.
+        error: What kept the trial from being made; empty where nothing did.
+    """
+
+    attempts: int
+    done: int
+    successes: int
+    reasons: tuple[tuple[str, int], ...] = ()
+    error: str = ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing more to wait for."""
+        return bool(self.error) or self.done >= self.attempts
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether nothing can be generated from the demonstration."""
+        return bool(self.error) or (self.finished and self.done >= MIN_TRIED and self.successes == 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    module: str
+    task: str
+    demonstration: Demonstration
+    settings: TrialSettings
+
+
+@dataclass(kw_only=True)
+class Trial:
+    """Attempts under way; ``close`` ends them.
+
+    Args:
+        task: Of the demonstration.
+        demonstration: What they are generated from.
+        settings: How many, and where.
+    """
+
+    task: Task
+    demonstration: Demonstration
+    settings: TrialSettings = field(default_factory=TrialSettings)
+
+    def __post_init__(self) -> None:
+        """Start the process."""
+        self._outcomes: list[tuple[str, str]] = []
+        self._error = ""
+        job = _Job(
+            module=self.task.module, task=self.task.name, demonstration=self.demonstration, settings=self.settings
+        )
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe(duplex=False)
+        self._pipe: connection.Connection = here
+        self._process = context.Process(target=_work, args=(there, pickle.dumps(job)), daemon=True)
+        before = os.environ.get("OMP_NUM_THREADS")
+        os.environ["OMP_NUM_THREADS"] = "1"  # the process reads it when it begins
+        try:
+            self._process.start()
+        finally:
+            if before is None:
+                del os.environ["OMP_NUM_THREADS"]
+        there.close()
+
+    def report(self) -> TrialReport:
+        """Return how it stands now."""
+        with contextlib.suppress(EOFError, OSError):
+            while self._pipe.poll():
+                kind, content = self._pipe.recv()
+                if kind == "error":
+                    self._error = str(content)
+                else:
+                    self._outcomes += content
+        done = len(self._outcomes)
+        if done < self.settings.attempts and not self._error and not self._process.is_alive() and not self._waiting():
+            self._error = f"the process of the trial ended with exit code {self._process.exitcode}"
+        failed = Counter(reason for outcome, reason in self._outcomes if outcome != "success")
+        return TrialReport(
+            attempts=self.settings.attempts,
+            done=done,
+            successes=sum(outcome == "success" for outcome, _ in self._outcomes),
+            reasons=tuple(failed.most_common(5)),
+            error=self._error,
+        )
+
+    def close(self) -> None:
+        """End it, whatever it is at."""
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+
+    def _waiting(self) -> bool:
+        """Return whether the process has sent something that was not read yet."""
+        try:
+            return self._pipe.poll()
+        except (EOFError, OSError):
+            return False
+
+
+def _work(pipe: Any, packed: bytes) -> None:  # noqa: ANN401  either end of a pipe
+    """Make the attempts and send (outcome, reason) of each, a few at a time."""
+    end_with_parent()
+    os.nice(5)  # the page comes first
+    try:
+        job: _Job = pickle.loads(packed)
+        importlib.import_module(job.module)  # a task from outside registers itself
+        from lerobot_demohlm.generation.attempt import Attempts
+
+        settings = job.settings
+        num_worlds = min(settings.together, settings.attempts)
+        attempts = Attempts(get_task(job.task), job.demonstration, settings.region, settings.seed, num_worlds)
+        for first in range(0, settings.attempts, settings.together):
+            indices = range(first, min(first + settings.together, settings.attempts))
+            pipe.send(("outcomes", [(e.outcome, _short(e.outcome, e.reason)) for e in attempts.run(indices)]))
+    except DemoHLMError as error:
+        pipe.send(("error", str(error)))
+
+
+def _short(outcome: str, reason: str) -> str:
+    """Return a reason without its numbers' tail, so that like ones count together."""
+    return f"{outcome}: {reason.partition(' (')[0]}" if reason else outcome

@@ -1,0 +1,1 @@
+"""One page for headsets, phones, gamepads, keyboards and onlookers <-> a recording session in real time."""

@@ -1,0 +1,317 @@
+// Keys, mouse, gamepad, touch and WebXR -> one message for the server; the same actions for all of them.
+
+export const ACTIONS = [
+  // action, headset or hands, phone, gamepad, keyboard and mouse
+  ["move a hand", "hold squeeze; bare hand: curl three fingers", "hold “left hand”, “right hand”: sticks, or tilt; in AR hold the screen", "hold LB, RB: sticks", "1 left, 2 right, 3 both; arrows, PgUp, PgDn; Shift+drag"],
+  ["turn a hand", "turn it", "tilt", "hold LB or RB: d-pad", "I K pitch, J L yaw, U O roll"],
+  ["both hands together, apart", "move them", "hold both: right stick sideways", "hold LB and RB: right stick sideways", "comma, full stop"],
+  ["close a gripper", "trigger; bare hand: pinch", "grip", "LT, RT with LB, RB", "space"],
+  ["walk", "left stick", "left stick", "left stick", "W S A D"],
+  ["turn", "right stick", "right stick", "right stick", "Q E"],
+  ["squat, rise", "A, B on the right", "squat, rise", "d-pad", "F, R"],
+  ["record, end", "X on the left", "Record", "Start", "Enter"],
+  ["rewind 2 s", "Y on the left", "Rewind", "Back", "Backspace"],
+  ["save, discard", "X, hold Y, in review", "Save, Discard", "A, B, in review", "M, Delete"],
+];
+export const DEVICE_COLUMNS = { headset: 1, hands: 1, phone: 2, gamepad: 3, keyboard: 4 };
+
+const KEY_RATES = {  // forward, left, up, roll, pitch, yaw
+  ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [1, 1], ArrowRight: [1, -1], PageUp: [2, 1], PageDown: [2, -1],
+  KeyT: [2, 1], KeyG: [2, -1], KeyU: [3, -1], KeyO: [3, 1], KeyI: [4, 1], KeyK: [4, -1], KeyJ: [5, 1], KeyL: [5, -1],
+};
+const KEY_WALK = { KeyW: [0, 1], KeyS: [0, -1], KeyA: [1, 1], KeyD: [1, -1], KeyQ: [2, 1], KeyE: [2, -1] };
+const KEY_BUTTONS = { Enter: "record", NumpadEnter: "record", Backspace: "rewind", KeyM: "save", Delete: "discard" };
+const SIDES = ["left", "right"];
+const CURLED_M = 0.10;  // from wrist to fingertip
+const PINCHED_M = [0.015, 0.06];  // between thumb and index: closed, open
+
+const unit = (x) => Math.max(-1, Math.min(1, x));
+
+export class Controls {
+  constructor(press, state) {
+    this.press = press;  // a button -> nothing
+    this.state = state;  // () -> the session's state
+    this.keys = new Set();
+    this.chosen = { left: false, right: true };
+    this.grips = { left: 0, right: 0 };
+    this.touch = { sticks: { left: [0, 0], right: [0, 0] }, hold: { left: false, right: false }, grip: false, tilt: false, lift: 0 };
+    this.drag = null;
+    this.orientation = null;
+    this.device = "keyboard";
+    this.pads = {};
+    this.steps = 0;  // of the world, that the page was told of
+    this.gripUntil = 0;  // step until which a gripper's key counts: the world looks ten times a second
+    this.tracked = new Set();  // sides whose controllers have been seen by the headset's cameras
+    this.sequence = 0;
+    this.xr = null;  // set by the session of WebXR at each of its frames
+    this.headMoves = () => true;
+  }
+
+  // Events of the page
+
+  listen(canvas, orbit) {
+    addEventListener("keydown", (e) => {
+      if (["INPUT", "SELECT", "TEXTAREA"].includes(e.target.tagName) && e.target.type !== "checkbox") return;
+      if (e.ctrlKey || e.altKey || e.metaKey) return;
+      const known = e.code in KEY_RATES || e.code in KEY_WALK || e.code in KEY_BUTTONS
+        || ["Space", "Comma", "Period", "KeyR", "KeyF", "Digit1", "Digit2", "Digit3"].includes(e.code);
+      if (!known) return;
+      e.preventDefault();
+      if (e.repeat) return;
+      this.device = "keyboard";
+      if (e.code in KEY_BUTTONS) this.press(KEY_BUTTONS[e.code]);
+      else if (e.code.startsWith("Digit")) this.chosen = { left: e.code !== "Digit2", right: e.code !== "Digit1" };
+      else if (e.code === "Space") for (const side of SIDES) { if (this.chosen[side]) this.grips[side] = 1 - this.grips[side]; }
+      else this.keys.add(e.code);
+      if (e.code === "Space") this.gripUntil = this.steps + 4;
+    });
+    addEventListener("keyup", (e) => this.keys.delete(e.code));
+    addEventListener("blur", () => { this.keys.clear(); this.drag = null; });
+    canvas.addEventListener("pointerdown", (e) => {
+      canvas.setPointerCapture(e.pointerId);
+      canvas.focus();
+      const hand = e.shiftKey && e.pointerType === "mouse";
+      this.drag = { hand, x: e.clientX, y: e.clientY, moved: [0, 0, 0] };
+      if (hand) this.device = "keyboard";
+    });
+    canvas.addEventListener("pointermove", (e) => {
+      if (!this.drag) return;
+      const dx = e.clientX - this.drag.x, dy = e.clientY - this.drag.y;
+      Object.assign(this.drag, { x: e.clientX, y: e.clientY });
+      if (this.drag.hand) {
+        const metres = 2 * orbit.distance * Math.tan(0.4) / Math.max(1, canvas.clientHeight);
+        this.drag.moved[0] += dx * metres;
+        this.drag.moved[1] -= dy * metres;
+      } else {
+        orbit.yaw -= dx * 0.006;
+        orbit.pitch = Math.max(-0.05, Math.min(1.5, orbit.pitch + dy * 0.006));
+      }
+    });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { this.drag = null; });
+    canvas.addEventListener("wheel", (e) => {
+      e.preventDefault();
+      if (this.drag && this.drag.hand) this.drag.moved[2] += e.deltaY * 0.0005;
+      else orbit.distance = Math.max(0.6, Math.min(8, orbit.distance * Math.exp(e.deltaY * 0.001)));
+    }, { passive: false });
+    addEventListener("deviceorientation", (e) => {
+      if (e.alpha !== null) this.orientation = [e.alpha, e.beta, e.gamma].map((d) => d * Math.PI / 180);
+    });
+  }
+
+  listenTouch(root) {
+    for (const side of SIDES) {
+      const stick = root.querySelector(`#stick-${side}`), knob = stick.firstElementChild;
+      const set = (e) => {
+        const box = stick.getBoundingClientRect(), r = box.width / 2;
+        let x = (e.clientX - box.left - r) / r, y = (e.clientY - box.top - r) / r;
+        const n = Math.max(1, Math.hypot(x, y));
+        [x, y] = [x / n, y / n];
+        this.touch.sticks[side] = [x, y];
+        knob.style.transform = `translate(${x * r * 0.6}px, ${y * r * 0.6}px)`;
+        this.device = "phone";
+      };
+      stick.addEventListener("pointerdown", (e) => { stick.setPointerCapture(e.pointerId); set(e); });
+      stick.addEventListener("pointermove", (e) => { if (stick.hasPointerCapture(e.pointerId)) set(e); });
+      for (const end of ["pointerup", "pointercancel"]) stick.addEventListener(end, () => {
+        this.touch.sticks[side] = [0, 0];
+        knob.style.transform = "";
+      });
+    }
+    const hold = (button, down, up) => {
+      button.addEventListener("pointerdown", (e) => {
+        button.setPointerCapture(e.pointerId);
+        button.classList.add("on");
+        this.device = "phone";
+        down();
+      });
+      for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => { button.classList.remove("on"); up(); });
+    };
+    for (const button of root.querySelectorAll("[data-hold]")) {
+      const side = button.dataset.hold;
+      hold(button, () => { this.touch.hold[side] = true; }, () => { this.touch.hold[side] = false; });
+    }
+    for (const button of root.querySelectorAll("[data-lift]")) {
+      hold(button, () => { this.touch.lift = Number(button.dataset.lift); }, () => { this.touch.lift = 0; });
+    }
+    for (const [name, button] of [["grip", root.querySelector("[data-grip]")], ["tilt", root.querySelector("[data-tilt]")]]) {
+      button.addEventListener("click", async () => {
+        this.touch[name] = !this.touch[name];
+        button.classList.toggle("on", this.touch[name]);
+        const ask = window.DeviceOrientationEvent && DeviceOrientationEvent.requestPermission;
+        if (name === "tilt" && ask) await ask.call(DeviceOrientationEvent).catch(() => {});
+      });
+    }
+  }
+
+  // One message
+
+  message(now, orbit, robotYaw) {
+    const hands = { left: idle(), right: idle() }, walk = [0, 0, 0];
+    let head = null, lift = 0;
+    if (this.xr) {
+      const seen = this.xr;
+      head = seen.head;
+      for (const side of SIDES) Object.assign(hands[side], seen.hands[side]);
+      seen.walk.forEach((v, i) => { walk[i] = v; });
+      lift = seen.lift;
+    } else {
+      lift += this.readKeys(hands, walk, orbit, robotYaw);
+      lift += this.readSticks(hands, walk, this.touchPad());
+      for (const pad of (navigator.getGamepads ? navigator.getGamepads() : [])) {
+        if (pad && pad.connected && pad.mapping === "standard") lift += this.readPad(hands, walk, pad);
+      }
+    }
+    return { type: "input", seq: this.sequence++, t: now, device: this.device, head, lean: this.headMoves(), hands,
+      walk: walk.map(unit), lift: unit(lift) };
+  }
+
+  readKeys(hands, walk, orbit, robotYaw) {
+    const rate = [0, 0, 0, 0, 0, 0];
+    for (const code of this.keys) {
+      if (code in KEY_RATES) rate[KEY_RATES[code][0]] += KEY_RATES[code][1];
+      if (code in KEY_WALK) walk[KEY_WALK[code][0]] += KEY_WALK[code][1];
+    }
+    const closer = this.keys.has("Comma") - this.keys.has("Period");
+    const moving = rate.some((v) => v) || closer || this.steps < this.gripUntil;
+    for (const [side, inward] of [["left", -1], ["right", 1]]) {
+      if (!this.chosen[side]) continue;
+      hands[side].grip = this.grips[side];
+      if (moving) {
+        hands[side].engaged = true;
+        hands[side].rate = rate.map((v, i) => unit(v + (i === 1 ? closer * inward : 0)));
+      }
+      if (this.drag && this.drag.hand) {
+        const [x, y, z] = this.drag.moved, turn = orbit.yaw + Math.PI - robotYaw;  // from the robot's heading to the view's
+        hands[side].engaged = true;
+        hands[side].pose = [x * Math.cos(turn) - z * Math.sin(turn), y, -x * Math.sin(turn) - z * Math.cos(turn), 1, 0, 0, 0];
+      }
+    }
+    return this.keys.has("KeyR") - this.keys.has("KeyF");
+  }
+
+  touchPad() {
+    const { sticks, hold, grip, tilt, lift } = this.touch;
+    return { left: sticks.left, right: sticks.right, hold, grips: { left: +grip, right: +grip }, turn: [0, 0, 0], lift,
+      pose: tilt && this.orientation ? [0, 0, 0, ...fromOrientation(this.orientation)] : null };
+  }
+
+  readPad(hands, walk, pad) {
+    const value = (i) => pad.buttons[i] ? pad.buttons[i].value : 0, down = (i) => value(i) > 0.5;
+    const before = this.pads[pad.index] || {};
+    const review = this.state() === "review";
+    const edges = { 9: "record", 8: "rewind", 0: review ? "save" : null, 1: review ? "discard" : null };
+    for (const [i, button] of Object.entries(edges)) {
+      if (button && down(i) && !before[i]) this.press(button);
+    }
+    this.pads[pad.index] = Object.fromEntries(Object.keys(edges).map((i) => [i, down(i)]));
+    const hold = { left: down(4), right: down(5) }, any = hold.left || hold.right;
+    if (any || pad.axes.some((a) => Math.abs(a) > 0.3) || pad.buttons.some((b) => b.pressed)) this.device = "gamepad";
+    const steps = [value(15) - value(14), value(13) - value(12)];  // d-pad: right and down
+    return this.readSticks(hands, walk, {
+      left: [pad.axes[0] || 0, pad.axes[1] || 0], right: [pad.axes[2] || 0, pad.axes[3] || 0], hold,
+      grips: { left: value(6), right: value(7) }, pose: null,
+      turn: any ? [steps[0], steps[1], 0] : [0, 0, 0], lift: any ? 0 : -steps[1],
+    });
+  }
+
+  readSticks(hands, walk, pad) {  // two sticks move hands that are held, and else the robot
+    const both = pad.hold.left && pad.hold.right, dead = (v) => Math.abs(v) < 0.12 ? 0 : v;
+    if (!pad.hold.left && !pad.hold.right) {
+      walk[0] -= pad.left[1];
+      walk[1] -= pad.left[0];
+      walk[2] -= pad.right[0];
+      return pad.lift;
+    }
+    for (const [side, inward] of [["left", -1], ["right", 1]]) {
+      if (!pad.hold[side]) continue;
+      const sideways = -dead(pad.left[0]) - (both ? dead(pad.right[0]) * inward : 0);
+      const yaw = both ? 0 : -dead(pad.right[0]);
+      const rate = [-dead(pad.left[1]), sideways, -dead(pad.right[1]), pad.turn[0], pad.turn[1], yaw].map(unit);
+      Object.assign(hands[side], { engaged: true, rate, grip: pad.grips[side], pose: pad.pose });
+    }
+    return pad.lift;
+  }
+
+  // WebXR
+
+  readXR(frame, space, session) {
+    const viewer = frame.getViewerPose(space);
+    if (!viewer) return;
+    const hands = { left: idle(), right: idle() }, walk = [0, 0, 0];
+    let lift = 0;
+    this.device = "headset";
+    for (const source of session.inputSources) {
+      if (source.targetRayMode === "screen") {  // a phone: it is the chosen hand itself
+        this.device = "phone";
+        for (const side of SIDES) {
+          if (!this.chosen[side]) continue;
+          Object.assign(hands[side], { pose: numbers(viewer.transform), engaged: true, grip: +this.touch.grip });
+        }
+        continue;
+      }
+      const side = source.handedness;
+      if (!SIDES.includes(side)) continue;
+      if (source.hand) {
+        this.device = "hands";
+        Object.assign(hands[side], bareHand(frame, source.hand, space));
+        continue;
+      }
+      const pose = source.gripSpace && frame.getPose(source.gripSpace, space), pad = source.gamepad;
+      const value = (i) => pad && pad.buttons[i] ? pad.buttons[i].value : 0;
+      if (pose && !pose.emulatedPosition) this.tracked.add(side);  // some devices never say so
+      const lost = !pose || (pose.emulatedPosition && this.tracked.has(side));
+      Object.assign(hands[side], { pose: lost ? null : numbers(pose.transform), engaged: value(1) > 0.5, grip: value(0) });
+      const [x, y] = pad ? [pad.axes[2] || 0, pad.axes[3] || 0] : [0, 0];
+      if (side === "left") {
+        walk[0] -= y;
+        walk[1] -= x;
+        this.xrButtons(value(4) > 0.5, value(5) > 0.5);
+      } else {
+        walk[2] -= x;
+        lift += (value(5) > 0.5) - (value(4) > 0.5);
+      }
+    }
+    const phone = this.touchPad();
+    if (this.device === "phone") { walk[0] -= phone.left[1]; walk[1] -= phone.left[0]; walk[2] -= phone.right[0]; lift += phone.lift; }
+    this.xr = { head: this.device === "phone" ? null : numbers(viewer.transform), hands, walk, lift };
+  }
+
+  xrButtons(x, y) {
+    const review = this.state() === "review", now = performance.now();
+    if (x && !this.xDown) this.press(review ? "save" : "record");
+    if (y && !this.yDown) this.yAt = now;
+    if (review && y && this.yAt && now - this.yAt > 1000) { this.press("discard"); this.yAt = 0; }
+    if (!y && this.yDown && this.yAt && now - this.yAt <= 1000) this.press("rewind");
+    [this.xDown, this.yDown] = [x, y];
+  }
+}
+
+function idle() { return { pose: null, engaged: false, grip: 0, rate: [0, 0, 0, 0, 0, 0] }; }
+
+function numbers(transform) {
+  const { position: p, orientation: q } = transform;
+  return [p.x, p.y, p.z, q.w, q.x, q.y, q.z];
+}
+
+function bareHand(frame, hand, space) {
+  const joint = (name) => { const at = hand.get(name); const pose = at && frame.getJointPose(at, space); return pose && pose.transform; };
+  const wrist = joint("wrist"), thumb = joint("thumb-tip"), index = joint("index-finger-tip");
+  if (!wrist || !thumb || !index) return { pose: null, engaged: true };
+  const apart = (a, b) => Math.hypot(a.position.x - b.position.x, a.position.y - b.position.y, a.position.z - b.position.z);
+  const tips = ["middle", "ring", "pinky"].map((finger) => joint(`${finger}-finger-tip`));
+  const engaged = tips.every((tip) => tip && apart(tip, wrist) < CURLED_M);
+  const [closed, open] = PINCHED_M;
+  const grip = Math.max(0, Math.min(1, (open - apart(thumb, index)) / (open - closed)));
+  return { pose: numbers(wrist), engaged, grip };
+}
+
+function fromOrientation([alpha, beta, gamma]) {  // Z-X'-Y'' of a phone, x right, y up, z out -> quaternion wxyz of WebXR's axes
+  const [a, b, c] = [alpha / 2, beta / 2, gamma / 2];
+  const q = [
+    Math.cos(a) * Math.cos(b) * Math.cos(c) - Math.sin(a) * Math.sin(b) * Math.sin(c),
+    Math.cos(a) * Math.sin(b) * Math.cos(c) - Math.sin(a) * Math.cos(b) * Math.sin(c),
+    Math.cos(a) * Math.cos(b) * Math.sin(c) + Math.sin(a) * Math.sin(b) * Math.cos(c),
+    Math.sin(a) * Math.cos(b) * Math.cos(c) + Math.cos(a) * Math.sin(b) * Math.sin(c)];
+  const h = Math.SQRT1_2;  // the world's z is up there, and y is up here: a quarter turn about x
+  return [h * q[0] + h * q[1], h * q[1] - h * q[0], h * q[2] + h * q[3], h * q[3] - h * q[2]];
+}
