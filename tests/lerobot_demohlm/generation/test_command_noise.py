@@ -189,7 +189,7 @@ def test_the_facts_of_a_run_say_how_its_data_is_varied(tmp_path: Path) -> None:
 def test_the_defaults_have_one_source(monkeypatch: pytest.MonkeyPatch) -> None:
     """A request, settings, the command and the gallery take the same data where nobody says otherwise."""
     asked: list[GenerationRequest] = []
-    monkeypatch.setattr("lerobot_demohlm.cli.generate.generate", asked.append)
+    monkeypatch.setattr("lerobot_demohlm.generation.runner.generate", asked.append)
     monkeypatch.setattr("lerobot_demohlm.cli.generate.summary_json", lambda _: {})
     assert cli.main(["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", "data"]) == 0
     wanted = GenerationRequest(task="LiftBox", region="R3", seed=0, root=Path("data"), num_attempts=1)
