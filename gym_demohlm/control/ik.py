@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.arithmetic import arctan2
+from gym_demohlm.arithmetic import arctan2, transposed_product
 from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik_pass import Pass
 from gym_demohlm.control.ik_settings import IKSettings
@@ -206,10 +206,10 @@ class WholeBodyIK:
         mujoco.mju_mat2Quat(quat_wxyz, T_world_pelvis[:3, :3].reshape(9))
         mujoco.mj_kinematics(self._model, self._data)
         rotations, positions = self._data.xmat, self._data.xpos
-        R_pelvis_world = rotations[self._pelvis].reshape(3, 3).T
+        R_world_pelvis = rotations[self._pelvis].reshape(3, 3)
         T_pelvis_torso = np.eye(4)
-        T_pelvis_torso[:3, :3] = R_pelvis_world @ rotations[self._torso].reshape(3, 3)
-        T_pelvis_torso[:3, 3] = R_pelvis_world @ (positions[self._torso] - positions[self._pelvis])
+        T_pelvis_torso[:3, :3] = R_world_pelvis.T @ rotations[self._torso].reshape(3, 3)
+        T_pelvis_torso[:3, 3] = transposed_product(R_world_pelvis, positions[self._torso] - positions[self._pelvis])
         return T_pelvis_torso
 
 

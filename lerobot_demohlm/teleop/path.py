@@ -45,7 +45,7 @@ class HandPath:
         for waypoint in waypoints:
             ticks = max(1, round(waypoint.duration_s / dt))
             u = np.arange(1, ticks + 1) / ticks
-            eased = u**3 * (10 - 15 * u + 6 * u**2)  # minimum jerk
+            eased = u * u * u * (10 - 15 * u + 6 * u * u)  # minimum jerk; a power has other bits with AVX-512
             hands.append(poses.interpolate(before, waypoint.T_world_hands, eased[:, None]))
             grippers.append(np.broadcast_to(waypoint.grippers, (ticks, 2)))
             watched.append(np.full(ticks, waypoint.watched))

@@ -29,6 +29,17 @@ _COMPILED = {
 }
 _ENVIRONMENTS = {**_CORES, **_LESS, **_COMPILED}
 _CODE = "import json; from lerobot_demohlm.checks import portability; print(json.dumps(portability.parts()))"
+_PATHS = """
+import hashlib
+import numpy as np
+from gym_demohlm import poses
+from lerobot_demohlm.teleop.path import HandPath, Waypoint
+
+rng = np.random.default_rng(0)
+start, *ends = poses.from_rotation(poses.rotation_from_rpy(rng.uniform(-1, 1, (9, 2, 3))), rng.normal(size=(9, 2, 3)))
+path = HandPath(start, [Waypoint(T_world_hands=end, duration_s=2.3, grippers=0.0) for end in ends])
+print(hashlib.sha256(path.T_world_hands.tobytes()).hexdigest())
+"""
 
 same_versions = pytest.mark.skipif(
     bool(portability.differing_versions()), reason="other libraries than the packaged digests have: bits may differ"
@@ -45,6 +56,14 @@ def test_other_code_paths_give_the_same_bits(environment: str, here: dict[str, s
     changed = os.environ | _ENVIRONMENTS[environment]
     out = subprocess.run([sys.executable, "-c", _CODE], env=changed, capture_output=True, text=True, check=True).stdout
     assert json.loads(out.splitlines()[-1]) == here
+
+
+def test_other_code_paths_give_scripts_the_same_hand_targets() -> None:
+    outs = {
+        subprocess.run([sys.executable, "-c", _PATHS], env=os.environ | changed, capture_output=True, check=True).stdout
+        for changed in ({}, *_CORES.values(), *_LESS.values())
+    }
+    assert len(outs) == 1
 
 
 @same_versions
