@@ -36,8 +36,8 @@ from gym_demohlm import poses
 from lerobot_demohlm.teleop.path import HandPath, Waypoint
 
 rng = np.random.default_rng(0)
-start, *ends = poses.from_rotation(poses.rotation_from_rpy(rng.uniform(-1, 1, (9, 2, 3))), rng.normal(size=(9, 2, 3)))
-path = HandPath(start, [Waypoint(T_world_hands=end, duration_s=2.3, grippers=0.0) for end in ends])
+start, *ends = poses.from_rotation(poses.rotation_from_rpy(rng.uniform(-1, 1, (99, 2, 3))), rng.normal(size=(99, 2, 3)))
+path = HandPath(start, [Waypoint(T_world_hands=end, duration_s=rng.uniform(0.3, 9), grippers=0.0) for end in ends])
 print(hashlib.sha256(path.T_world_hands.tobytes()).hexdigest())
 """
 
