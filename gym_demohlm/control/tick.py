@@ -1,4 +1,4 @@
-"""What a controller remembers, what it senses and what it is told -> what its policy sees, and joint targets: one tick.
+"""One tick of a controller: its memory, its sensors and a command -> what its policy sees, and then joint targets.
 
 Training (``wbc.training.mdp``) and running (``control.whole_body``) call these same functions on the same state, so
 that a policy runs as it was trained. A tick senses, moves command and clock on, shows the policy the outcome, and turns

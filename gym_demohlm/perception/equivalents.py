@@ -1,4 +1,4 @@
-"""A symmetric object's pose -> the one that is told, among those that look the same."""
+"""The pose of a symmetric object -> the one that is reported, out of all poses that look the same."""
 
 import math
 

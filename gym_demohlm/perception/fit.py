@@ -220,7 +220,7 @@ def fit(shape: Shape, guess: np.ndarray, view: View, prior: Prior, iterations: i
         guess: (4, 4) ``T_optical_object`` to start from.
         view: Depth and mask.
         prior: What is known.
-        iterations: At most so many.
+        iterations: Largest number of Gauss-Newton steps.
         reach: How far the mask's edge is searched at first [px].
     """
     T, scale = guess.copy(), prior.scale

@@ -8,8 +8,6 @@ image only: the same pixels as in the whole image. It does no more of MuJoCo's p
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import mujoco
 import numpy as np
@@ -239,11 +237,3 @@ class VisualModel:
             self._gl.make_current()
             self._context.free()
             self._gl.free()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -12,6 +12,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1, neck
+from gym_demohlm.robot.physics import Physics
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
 from gym_demohlm.scene.furniture import add_picture
 from gym_demohlm.task import InitialState, ObjectSpec, Task
@@ -40,6 +41,10 @@ class _Placement:
 class Scene:
     """One task's compiled model with its addresses. Only gains and what a `Memory` draws change in it.
 
+    Args:
+        task: The task.
+        physics: Of the robot; ``gym_demohlm.robot.physics.PHYSICS`` by default.
+
     Attributes:
         task: The task.
         model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
@@ -56,9 +61,9 @@ class Scene:
         collision_address: (obstacles, slots) sensor addresses of the normal forces of the robot on task.obstacles.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, physics: Physics | None = None) -> None:
         self.task = task
-        spec = _build_spec(task)
+        spec = _build_spec(task, physics)
         bare = spec.copy()
         bare.compiler.discardvisual = True
         try:
@@ -253,8 +258,8 @@ def aim_overview(
     camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
 
 
-def _build_spec(task: Task) -> mujoco.MjSpec:
-    spec = robot_spec(task.hands)
+def _build_spec(task: Task, physics: Physics | None) -> mujoco.MjSpec:
+    spec = robot_spec(task.hands, physics)
     spec.modelname = task.name
     _add_surroundings(spec)
     task.build(spec)

@@ -6,6 +6,7 @@ robot does what it would do if it saw perfectly, and the figures are those of th
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -159,7 +160,7 @@ def drawn(task: Task, region: str, seed: int, index: int, every: int = 1) -> Ite
         every: Frames from one picture to the next.
     """
     sim = Simulation(task, 1)
-    with VisualModel(sim.model, cell=0.0) as visual:
+    with closing(VisualModel(sim.model, cell=0.0)) as visual:
         shapes = [fit.Shape(mesh) for mesh in object_meshes(sim.model, task)]
         for count, look in enumerate(looks(task, region, seed, index)):
             if count % every:

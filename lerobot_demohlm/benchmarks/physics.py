@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm.registry import get_task
-from gym_demohlm.robot import g1, robot
+from gym_demohlm.robot import g1
 from gym_demohlm.robot.physics import FIRST, SECOND, Physics
 from gym_demohlm.scene.scene import Scene
 from gym_demohlm.simulation import Simulation
@@ -57,15 +57,6 @@ _ROUNDS = 12
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
-def scene_with(task: Task, physics: Physics) -> Scene:
-    """Return the scene of a task whose robot has another physics."""
-    before, robot.PHYSICS = robot.PHYSICS, physics
-    try:
-        return Scene(task)
-    finally:
-        robot.PHYSICS = before
-
-
 def measure(task: Task) -> dict[str, Any]:
     """Return what a physics step takes: ratios to the first physics, and microseconds of that, by moment.
 
@@ -98,7 +89,7 @@ def measure(task: Task) -> dict[str, Any]:
 
 
 def _scene(task: Task, variant: Variant) -> Scene:
-    scene = scene_with(task, variant.physics)
+    scene = Scene(task, variant.physics)
     if variant.impratio is not None:
         scene.physics.opt.impratio = variant.impratio
     if variant.arm_friction:

@@ -77,19 +77,19 @@ class Journal:
         self._file.flush()
 
     def cut(self, rows: int) -> None:
-        """Keep only so many rows."""
+        """Keep the first ``rows`` rows and drop the others."""
         if self._file is not None:
             self._file.truncate(rows * _ROW.itemsize)
             self._file.seek(rows * _ROW.itemsize)
 
     def close(self) -> None:
-        """Leave it on disk."""
+        """Close the file; the journal stays on disk."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
     def remove(self) -> None:
-        """Remove it."""
+        """Close the journal and delete its folder."""
         self.close()
         shutil.rmtree(self.directory, ignore_errors=True)
 

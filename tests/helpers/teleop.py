@@ -82,6 +82,17 @@ class Served:
         self.session.close()
 
 
+@contextmanager
+def serving(task: str, root: Path) -> Iterator[Served]:
+    """Serve a session of a task without a trial; the server must not have failed by the end."""
+    made = Served(task, root)
+    try:
+        yield made
+    finally:
+        made.close()
+    assert made.error is None
+
+
 def wait_for(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
     """Wait until something holds.
 

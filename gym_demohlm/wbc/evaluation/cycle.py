@@ -1,7 +1,7 @@
 """Every physics step of walking robots -> how fast they move and turn on average over a gait cycle.
 
-The pelvis of a walking robot sways with its steps; what is left when a whole cycle is averaged is how well it goes
-where it is told.
+The pelvis of a walking robot sways with its steps. The average over a whole cycle leaves the sway out: it shows how
+well the robot follows the commanded velocity.
 """
 
 import math

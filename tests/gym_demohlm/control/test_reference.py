@@ -7,18 +7,8 @@ from gym_demohlm.control import features, odometry, reference
 from gym_demohlm.control.settings import Gait
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
+from tests.helpers.gaits import GAITS
 
-_GAITS = {
-    "first": Gait(),
-    "every part of it": Gait(
-        spread=0.08,
-        swing_upright=0.6,
-        ankle_upright=0.5,
-        ankle_damping_s=0.05,
-        turn=tuple(0.01 * np.arange(1, 13)),
-        capture=(0.095, 0.085, 0.135),
-    ),
-}
 _WORLDS = 40
 
 
@@ -37,7 +27,7 @@ def _situations(seed: int) -> tuple[np.ndarray, reference.Clock, np.ndarray, np.
     return commands, clock, *(rng.normal(0, 0.1, (_WORLDS, size)) for size in (2, 2, 4))
 
 
-@pytest.mark.parametrize("gait", _GAITS.values(), ids=_GAITS.keys())
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
 def test_a_walk_is_the_same_in_a_mirror(gait: Gait) -> None:
     commands, clock, velocity, moment, attitude = _situations(0)
     source, sign = features.COMMAND_MIRROR
@@ -96,7 +86,7 @@ def test_the_capture_point_of_a_robot_in_its_pose_is_its_weights_place() -> None
     rng = np.random.default_rng(4)
     commands = np.zeros((_WORLDS, 7))
     commands[:, 3:] = rng.uniform([0.5, -0.3, -0.1, -0.8], [0.74, 0.3, 0.8, 0.8], (_WORLDS, 4))
-    pose, zero = _pose(_GAITS["every part of it"]), np.zeros((_WORLDS, 2))
+    pose, zero = _pose(GAITS["every part of it"]), np.zeros((_WORLDS, 2))
     legs = pose.pose(commands, reference.at_rest(_WORLDS), zero, zero)[:, :12]
     footing = pose.footing(commands, zero)
     tilt = np.stack([footing.tilt, footing.bank], axis=1)

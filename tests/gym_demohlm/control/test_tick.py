@@ -12,19 +12,9 @@ from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc.training.mdp import MdpConfig, WholeBodyMdp
+from tests.helpers.gaits import GAITS
 
 _WORLDS = 12
-_GAITS = {
-    "first": Gait(),
-    "every part of it": Gait(
-        spread=0.08,
-        swing_upright=0.6,
-        ankle_upright=0.5,
-        ankle_damping_s=0.05,
-        turn=tuple(0.01 * np.arange(12)),
-        capture=(0.095, 0.085, 0.135),
-    ),
-}
 
 
 class _Spied(WholeBodyController):
@@ -48,7 +38,7 @@ def _weights(path: Path, mdp: WholeBodyMdp, settings: Settings) -> Path:
     return path
 
 
-@pytest.mark.parametrize("gait", _GAITS.values(), ids=_GAITS.keys())
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
 def test_training_and_running_share_the_tick(tmp_path: Path, gait: Gait) -> None:
     mdp = WholeBodyMdp(MdpConfig(num_worlds=_WORLDS, num_variants=4, gait=gait, push_every=(50, 80)))
     mdp.level = mdp.push_level = 1.0

@@ -13,7 +13,7 @@ from lerobot_demohlm.demonstrations.replay import replay
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.teleop.clutch import DEAD_ZONE, WALK_SPEED
 from lerobot_demohlm.teleop.record import script_of
-from tests.helpers.teleop import HeadsetHands, Served, opened, statuses, view_of, wait_for
+from tests.helpers.teleop import HeadsetHands, Served, opened, serving, statuses, view_of, wait_for
 
 PAD = """
 window.pad = {index: 0, connected: true, mapping: "standard", axes: [0, 0, 0, 0],
@@ -33,10 +33,8 @@ BOXES = """
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    made = Served("GraspCube", tmp_path_factory.mktemp("page") / "grasp")
-    yield made
-    made.close()
-    assert made.error is None
+    with serving("GraspCube", tmp_path_factory.mktemp("page") / "grasp") as made:
+        yield made
 
 
 @pytest.fixture(autouse=True)
@@ -223,8 +221,7 @@ def test_a_recording_from_a_headset_is_an_ordinary_demonstration(
     task: str, push: tuple[float, int, int] | None, browser: Any, iwer: Path, tmp_path: Path
 ) -> None:
     root = tmp_path / "demonstration"
-    served = Served(task, root)
-    try:
+    with serving(task, root) as served:
         with opened(browser, served.addresses["operator"], iwer, HEADSET, small=True) as page:
             drive(served, page, push)
             page.evaluate("document.getElementById('record').click()")
@@ -233,9 +230,6 @@ def test_a_recording_from_a_headset_is_an_ordinary_demonstration(
             print("latency", page.evaluate("demohlm.status.latency"), "late", page.evaluate("demohlm.status.late_s"))
             page.evaluate("document.getElementById('save').click()")
             page.wait_for_function("demohlm.status.state === 'saved'", timeout=300_000)  # imports LeRobot
-    finally:
-        served.close()
-    assert served.error is None
     saved = demonstrations.load(root, served.task)
     assert replay(saved).identical
     found = {(entry.hand, entry.kind) for entry in segment(saved, served.task)}

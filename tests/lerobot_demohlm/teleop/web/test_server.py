@@ -19,17 +19,15 @@ from lerobot_demohlm.teleop.web import protocol
 from lerobot_demohlm.teleop.web.certificate import make_context
 from lerobot_demohlm.teleop.web.server import MAX_REFUSED
 from tests.helpers.slow_network import slow_network
-from tests.helpers.teleop import Served
+from tests.helpers.teleop import Served, serving
 
 WALK = {"type": "input", "walk": [1, 0, 0], "device": "other"}
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    made = Served("LiftBox", tmp_path_factory.mktemp("served") / "lift")
-    yield made
-    made.close()
-    assert made.error is None
+    with serving("LiftBox", tmp_path_factory.mktemp("served") / "lift") as made:
+        yield made
 
 
 class Client:
