@@ -231,9 +231,9 @@ class Scene:
             raise UnknownNameError("body", name, names) from None
 
 
-def build_scene(task: Task) -> Scene:
-    """Build and compile the scene of a task."""
-    return Scene(task)
+def build_scene(task: Task, physics: Physics | None = None) -> Scene:
+    """Build and compile the scene of a task; arguments as ``Scene``."""
+    return Scene(task, physics)
 
 
 def aim_overview(

@@ -12,6 +12,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 import gym_demohlm  # noqa: F401  registers the environments
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT, find
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import OBSERVATION_TYPES
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
@@ -34,6 +35,8 @@ class DemoHLMEnvConfig(EnvConfig):
     """Initial region: R1, R2 or R3."""
     perception: str = "exact"
     """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
+    controller: str = DEFAULT
+    """Whole-body controller: its name, path or hash, as `demohlm controllers` lists them."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -44,6 +47,7 @@ class DemoHLMEnvConfig(EnvConfig):
         """Check the names and fill the feature tables from the environment's."""
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
+        find(self.controller)
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -81,6 +85,7 @@ class DemoHLMEnvConfig(EnvConfig):
             "render_mode": self.render_mode,
             "region": self.region,
             "perception": self.perception,
+            "controller": self.controller,
         }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
@@ -151,6 +152,7 @@ class Setting:
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
         perception: How observation and gaze see objects: "exact" or "rgbd".
+        controller: Name, path or hash of the whole-body controller.
     """
 
     task: str
@@ -159,6 +161,7 @@ class Setting:
     num_threads: int = 1
     num_workers: int = 1
     perception: str = "exact"
+    controller: str = DEFAULT
 
     def __post_init__(self) -> None:
         """Check names and counts."""
@@ -246,6 +249,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
         region=setting.region,
         perception=setting.perception,
+        controller=setting.controller,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
