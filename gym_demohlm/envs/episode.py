@@ -17,6 +17,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
@@ -56,7 +57,8 @@ class RunningEpisodes:
         num_threads: Threads of the physics.
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         controller: The shipped whole-body controller by default.
-        perception: How objects are seen: "exact", or "rgbd" for a tracker of a simulated depth camera's images.
+        perception: How objects are seen, such as "exact", or "rgbd" for a tracker of a simulated depth camera's
+            images; see ``gym_demohlm.perception.settings``.
 
     Raises:
         UnknownNameError: No such obs_type or perception.
@@ -69,7 +71,7 @@ class RunningEpisodes:
         num_threads: int = 1,
         obs_type: str = "state",
         controller: Controller | None = None,
-        perception: str = EXACT,
+        perception: str | PerceptionSettings = EXACT,
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
@@ -82,10 +84,11 @@ class RunningEpisodes:
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
         self._sight: Sight | None = None
-        if perception != EXACT:
+        settings = PerceptionSettings.read(perception)
+        if not settings.is_exact:
             from gym_demohlm.perception import sight  # loads OpenCV and SciPy
 
-            self._sight = sight.Sight(self.sim, perception)
+            self._sight = sight.Sight(self.sim, settings)
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
         """Begin new episodes in some worlds, all by default; one initial state each."""

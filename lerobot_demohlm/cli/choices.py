@@ -6,6 +6,10 @@ Policy = Literal["mlp", "act", "diffusion"]
 """Of ``policies.presets.POLICIES``."""
 Preset = Literal["paper", "cpu"]
 """Of ``policies.presets.NAMES``."""
+Perception = Literal["exact", "model", "rgbd", "apriltag", "remote"]
+"""Of ``gym_demohlm.perception.settings.SOURCES``."""
+Masks = Literal["oracle", "color", "server"]
+"""Of ``gym_demohlm.perception.settings.MASKS``."""
 Table = Literal["main", "architectures", "regions"]
 """Of ``experiments.plan.TABLES``."""
 Variant = Literal["plain", "noise", "starts", "stances", "noise_stances"]

@@ -16,6 +16,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import OBSERVATION_TYPES
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import environment_id, get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
 from lerobot_demohlm.evaluation.batch_rows import row_processors
@@ -33,7 +34,7 @@ class DemoHLMEnvConfig(EnvConfig):
     region: str = DEFAULT_REGION
     """Initial region: R1, R2 or R3."""
     perception: str = "exact"
-    """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
+    """How observation and gaze see objects, such as exact, model, or rgbd,masks=color: see docs/perception.md."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -44,6 +45,7 @@ class DemoHLMEnvConfig(EnvConfig):
         """Check the names and fill the feature tables from the environment's."""
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
+        self.perception = str(PerceptionSettings.read(self.perception))
         widths = set()
         for task in self.tasks:
             task.region(self.region)

@@ -24,6 +24,7 @@ class Rollout:
         outcome: How the episode ended, one of ``OUTCOMES``.
         length_s: Simulated time [s].
         clipped: Numbers in commands that were outside their bounds.
+        perception: How objects were seen, see ``gym_demohlm.perception.settings``.
         initial_state: Where the episode began: "robot" (x [m], y [m], yaw [rad]) in the world, "object" (y [m],
             z [m], yaw [rad]) as differences from the task's layout.
     """
@@ -41,6 +42,7 @@ class Rollout:
     outcome: str
     length_s: float
     clipped: int = 0
+    perception: str = "exact"
     initial_state: Mapping[str, list[float]]
 
     def __post_init__(self) -> None:

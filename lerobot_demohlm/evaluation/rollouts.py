@@ -20,6 +20,7 @@ import numpy as np
 from gym_demohlm.control import command
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
 from lerobot_demohlm.evaluation.rollout import Rollout
@@ -150,7 +151,7 @@ class Setting:
         num_worlds: Episodes rolled out together in a process.
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
-        perception: How observation and gaze see objects: "exact" or "rgbd".
+        perception: How observation and gaze see objects, see ``gym_demohlm.perception.settings``.
     """
 
     task: str
@@ -163,6 +164,7 @@ class Setting:
     def __post_init__(self) -> None:
         """Check names and counts."""
         get_task(self.task).region(self.region)
+        object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
                 raise PolicyError(f"{name}={getattr(self, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
@@ -294,6 +296,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             ),
             length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
             clipped=int(clipped[world]),
+            perception=env.perception,
             initial_state=starts[world],
         )
         for world, seed in enumerate(seeds)
