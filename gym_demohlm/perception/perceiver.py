@@ -6,6 +6,7 @@ measure and tracks the objects in it. ``apriltag`` looks for tags on them. ``rem
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def _source(settings: PerceptionSettings, task: Task, num_worlds: int) -> Percei
     if settings.source == "model":
         from gym_demohlm.perception.model import ModelPerceiver
 
-        return ModelPerceiver(task, num_worlds)
+        return ModelPerceiver(task, num_worlds, Path(settings.fit) if settings.fit else None)
     if settings.source == "rgbd":
         from gym_demohlm.perception.rgbd import RgbdPerceiver, RgbdSettings
 

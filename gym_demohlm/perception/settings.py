@@ -31,6 +31,7 @@ class PerceptionSettings:
         latency_s: Age of what is told [s], in steps of 0.1 s.
         dropout: Share of frames from which nothing is told.
         address: Of the pose server, with "remote".
+        fit: File of the errors' model, with "model"; the packaged one of the task by default.
         timeout_s: Longest wait for its answer [s].
 
     Raises:
@@ -46,6 +47,7 @@ class PerceptionSettings:
     latency_s: float = 0.0
     dropout: float = 0.0
     address: str = "tcp://127.0.0.1:5570"
+    fit: str = ""
     timeout_s: float = 1.0
 
     def __post_init__(self) -> None:

@@ -231,6 +231,11 @@ class Scene:
             raise UnknownNameError("body", name, names) from None
 
 
+def scene_spec(task: Task) -> mujoco.MjSpec:
+    """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
+    return _build_spec(task, None)
+
+
 def build_scene(task: Task) -> Scene:
     """Build and compile the scene of a task."""
     return Scene(task)

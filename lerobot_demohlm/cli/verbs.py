@@ -249,6 +249,12 @@ VERBS = (
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
+        name="fit-perception",
+        group="training",
+        help="fit the error model of perception=model to what the tracker makes of drawn pictures",
+        example="demohlm fit-perception --task LiftBox --num-episodes 2 --num-checks 1 --output lift_box.json",
+    ),
+    Verb(
         name="train-controller",
         group="training",
         help="train the whole-body controller by reinforcement learning",
