@@ -103,6 +103,10 @@ class DemoHLMEnv(gym.Env):
             self._info(),
         )
 
+    def perception_faults(self) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in this episode, by its reason."""
+        return self._episodes.perception_faults()
+
     def render(self) -> np.ndarray | None:
         """Return an image (480, 640, 3) uint8 of the overview camera, or None where a window shows it."""
         if self.render_mode == "human":

@@ -143,6 +143,10 @@ class RunningEpisodes:
             "clipped": self._clipped.copy(),
         }
 
+    def perception_faults(self, world: int = 0) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in a world's episode, by its reason."""
+        return {} if self._sight is None else self._sight.faults(world)
+
     def observe(self) -> Observation:
         """Return the observations of all worlds, new arrays with one row a world."""
         seen: Observation = {

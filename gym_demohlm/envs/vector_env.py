@@ -147,6 +147,10 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         """Return an image (480, 640, 3) uint8 of the overview camera for each world."""
         return tuple(self._episodes.render(world) for world in range(self.num_envs))
 
+    def perception_faults(self, world: int = 0) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in a world's episode, by its reason."""
+        return self._episodes.perception_faults(world)
+
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:  # noqa: ANN401
         """Return an attribute, or what a method returns, once a world, as ``SyncVectorEnv`` does."""
         value = getattr(self, name)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception.estimate import PERCEPTION_STREAM, Perceiver, PoseEstimate
+from gym_demohlm.perception.estimate import PERCEPTION_STREAM, Perceiver, PoseEstimate, faults_of
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
@@ -85,6 +85,10 @@ class DisturbedPerceiver:
             told.append((poses.invert(T_world_camera[place]) @ T, valid, age + waited, inliers))
         T, valid, age, inliers = (np.stack(column) for column in zip(*told, strict=True))
         return PoseEstimate(T_camera_object=T, valid=valid, age_s=age, inliers=inliers)
+
+    def faults(self, row: int) -> dict[str, int]:
+        """Return what went wrong with the other perceiver in the episode of a world."""
+        return faults_of(self._source, row)
 
     def close(self) -> None:
         """Close the other perceiver."""

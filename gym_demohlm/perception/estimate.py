@@ -61,3 +61,9 @@ class Perceiver(Protocol):
     def close(self) -> None:
         """Give back what it holds, such as a graphics context."""
         ...
+
+
+def faults_of(perceiver: Perceiver, row: int) -> dict[str, int]:
+    """Return how often what went wrong in the episode of a world, by its reason; only a server's poses can."""
+    counted = getattr(perceiver, "faults", None)
+    return {} if counted is None else counted(row)

@@ -123,7 +123,7 @@ class RgbdPerceiver(SeeingPerceiver):
                 frame.window,
                 T_odom_optical,
                 STEP_DT,
-                _hand_motions(tracker, eyes.palms, palms),
+                hand_motions(tracker, eyes.palms, palms),
                 in_front[k],
                 self._lies(entry, trackers, T_odom_optical),
             )
@@ -203,7 +203,7 @@ def sighting_of(tracker: Tracker) -> Sighting | None:
     return Sighting(T_odom_object=track.T_odom_object, valid=track.valid, age_s=track.age_s, inliers=track.inliers)
 
 
-def _hand_motions(tracker: Tracker, before: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> list[np.ndarray]:
+def hand_motions(tracker: Tracker, before: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Return the motions since the last frame of the palms near an object."""
     if tracker.track is None or not before:
         return []

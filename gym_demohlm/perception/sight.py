@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.estimate import PoseEstimate, faults_of
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
@@ -61,6 +61,10 @@ class Sight:
     def environment_state(self) -> np.ndarray:
         """Return the observation of all worlds (N, 9k) float32."""
         return self._estimate.environment_state()
+
+    def faults(self, row: int) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in the episode of a world, by its reason."""
+        return faults_of(self._perceiver, row)
 
     def close(self) -> None:
         """Give back what the perceiver holds."""

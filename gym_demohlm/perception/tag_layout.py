@@ -1,8 +1,8 @@
 """Tracked objects -> AprilTags on their faces: which, where and how large; and the drawn scene that wears them.
 
 The tags are of the family 36h11, and on the drawn copy of the scene only: nothing that is simulated knows of them.
-An object's largest flat faces wear one each, on a plate that sticks out where all faces are small, as a bar's are. A
-round thing, such as a bottle, wears four plates around it.
+An object's largest flat faces wear one each, or four plates around it where all faces are small, as a bar's are.
+So does a round thing, such as a bottle.
 """
 
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ def layout(meshes: tuple[ObjectMesh, ...]) -> tuple[tuple[Tag, ...], ...]:
     found: list[tuple[Tag, ...]] = []
     first = 0
     for mesh in meshes:
-        plates = _around(mesh) if mesh.spec.symmetry == "any" else _on_faces(mesh)
+        plates = _around(mesh.vertices) if mesh.spec.symmetry == "any" else _on_faces(mesh)
         tags = tuple(
             Tag(id=first + index, T_object_tag=T, edge=edge * (CELLS - 2) / CELLS)
             for index, (T, edge) in enumerate(plates)
@@ -101,7 +101,7 @@ def _add_material(spec: mujoco.MjSpec, name: str, black: np.ndarray) -> None:
     """Add a material that shows a tag with a white border."""
     image = cv2.copyMakeBorder(black, _PIXELS, _PIXELS, _PIXELS, _PIXELS, cv2.BORDER_CONSTANT, value=255)
     size = len(image)
-    # MuJoCo projects a 2D texture along z with the picture's first row at the top where it is turned over.
+    # OpenCV draws tags of this family upside down.
     pixels = np.repeat(np.ascontiguousarray(image[::-1, ::-1, None]), 3, axis=2)
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=size, height=size, nchannel=3)
     texture.data = pixels.tobytes()
@@ -140,17 +140,17 @@ def _on_faces(mesh: ObjectMesh) -> list[tuple[np.ndarray, float]]:
     """Return the places (4, 4) and edges [m] of plates on the largest faces of an object."""
     places = sorted((place for part in mesh.parts for place in _faces(part)), key=lambda place: -place[1])[:_FACES]
     if places[0][1] < _SMALL:
-        return [(T, _PLATE) for T, _ in places]
+        inside = (part for part in mesh.parts if (part.offsets > 0).all())  # around the object's own middle
+        return _around(next(inside, mesh.parts[0]).vertices)
     return [(T, edge) for T, edge in places if edge >= 0.03]
 
 
-def _around(mesh: ObjectMesh) -> list[tuple[np.ndarray, float]]:
-    """Return the places (4, 4) and edges [m] of four plates around a round thing, which touch it."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    middle = 0.5 * (low + high)
-    radius = float(np.linalg.norm(mesh.vertices[:, :2] - middle[:2], axis=1).max())
+def _around(vertices: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Return the places (4, 4) and edges [m] of four plates that touch a cloud of vertices (n, 3) from its sides."""
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     found = []
     for turn in range(4):
         R = poses.planar(0.0, 0.0, 0.5 * np.pi * turn)[:3, :3] @ np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-        found.append((poses.from_rotation(R, middle + radius * R[:, 2]), _PLATE))
+        reach = float(((vertices - middle) @ R[:, 2]).max())
+        found.append((poses.from_rotation(R, middle + reach * R[:, 2]), _PLATE))
     return found

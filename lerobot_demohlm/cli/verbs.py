@@ -249,6 +249,12 @@ VERBS = (
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
+        name="pose-server",
+        group="policies",
+        help="serve object poses to environments with perception=remote, from the pictures that they send",
+        example="demohlm pose-server --backend tracker",
+    ),
+    Verb(
         name="fit-perception",
         group="training",
         help="fit the error model of perception=model to what the tracker makes of drawn pictures",

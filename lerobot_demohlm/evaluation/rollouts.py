@@ -297,6 +297,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
             clipped=int(clipped[world]),
             perception=env.perception,
+            perception_faults=env.perception_faults(world),
             initial_state=starts[world],
         )
         for world, seed in enumerate(seeds)
