@@ -25,6 +25,7 @@ from gym_demohlm.timing import STEP_DT
 
 if TYPE_CHECKING:
     from gym_demohlm.perception.sight import Sight
+    from gym_demohlm.perception.small_pictures import SmallPictures
 
 EXACT = "exact"
 OBSERVATION_TYPES = ("state", "pixels_agent_pos")
@@ -59,6 +60,7 @@ class RunningEpisodes:
         controller: The shipped whole-body controller by default.
         perception: How objects are seen, such as "exact", or "rgbd" for a tracker of a simulated depth camera's
             images; see ``gym_demohlm.perception.settings``.
+        image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
 
     Raises:
         UnknownNameError: No such obs_type or perception.
@@ -72,6 +74,7 @@ class RunningEpisodes:
         obs_type: str = "state",
         controller: Controller | None = None,
         perception: str | PerceptionSettings = EXACT,
+        image_size: tuple[int, int] = (WIDTH, HEIGHT),
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
@@ -83,6 +86,8 @@ class RunningEpisodes:
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
+        self._image_size = image_size
+        self._small: SmallPictures | None = None
         self._sight: Sight | None = None
         settings = PerceptionSettings.read(perception)
         if not settings.is_exact:
@@ -156,7 +161,7 @@ class RunningEpisodes:
             ),
         }
         if self.obs_type == "pixels_agent_pos":
-            images = [self.render(world, "head") for world in range(self.sim.num_worlds)]
+            images = [self._head_image(world) for world in range(self.sim.num_worlds)]
             seen["pixels"] = {"head": np.stack(images)}
         return seen
 
@@ -164,11 +169,23 @@ class RunningEpisodes:
         """Return an image (480, 640, 3) uint8 of a world."""
         return self._renderer.render(self.sim.mj_data(world), camera)
 
+    def _head_image(self, world: int) -> np.ndarray:
+        """Return what a world's head camera sees (height, width, 3) uint8."""
+        if self._image_size == (WIDTH, HEIGHT):
+            return self.render(world, "head")
+        if self._small is None:
+            from gym_demohlm.perception.small_pictures import SmallPictures  # loads a graphics library
+
+            self._small = SmallPictures(self.sim, self._image_size)
+        return self._small.rgb(world)
+
     def close(self) -> None:
         """Stop the threads and give the graphics context back."""
         self._renderer.close()
         if self._sight is not None:
             self._sight.close()
+        if self._small is not None:
+            self._small.close()
         self.sim.close()
 
 

@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
 from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import SceneError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
@@ -37,6 +38,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
             episode ended as it is, at no cost, until ``reset``.
         controller: For N worlds; the shipped whole-body controller by default.
         perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
+        image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
 
     Raises:
         UnknownNameError: No such task, region, obs_type, render_mode or perception.
@@ -56,6 +58,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
         controller: Controller | None = None,
         perception: str | PerceptionSettings = EXACT,
+        image_size: tuple[int, int] = (WIDTH, HEIGHT),
     ) -> None:
         check_render_mode(render_mode)
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):

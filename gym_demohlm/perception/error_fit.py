@@ -15,7 +15,7 @@ from gym_demohlm.task import ObjectSpec, Task
 
 SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0)
 """Of the frames, whose quantiles the table of lengths follows."""
-_LARGEST = 3.0  # of either exponent of ``s``: beyond it, few frames would speak for many
+_EXPONENTS = (-1.0, 3.0)  # of ``s``: beyond them, few frames would speak for many
 _LEAST_FRAMES = 20
 _APART = 30  # frames after which only an episode's bias is common to two errors
 _SMALLEST = 1e-6  # m or rad
@@ -146,7 +146,7 @@ def _scale_exponents(lengths: np.ndarray, distance: np.ndarray, visible: np.ndar
     target = np.log(np.maximum(lengths, _SMALLEST))
     ridge = 0.01 * len(lengths) * np.diag([0.05, 0.05])
     found = np.linalg.solve(columns.T @ columns + ridge, columns.T @ (target - target.mean()))
-    power, rate = np.clip(found, -_LARGEST, _LARGEST).tolist()
+    power, rate = np.clip(found, *_EXPONENTS).tolist()
     return power, rate
 
 

@@ -62,7 +62,7 @@ class Channel:
         length = np.linalg.norm(g, axis=-1)
         scaled = np.interp(length, self.normal_lengths, self.error_lengths) / np.maximum(length, 1e-12)
         scaled = scaled * self.scale(distance, visible)
-        return scaled[:, None] * (g @ np.array(self.axes).T)
+        return scaled[:, None] * (np.array(self.axes) * g[:, None, :]).sum(axis=-1)  # each row by itself, in its bits
 
     def scale(self, distance: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """Return s (n,)."""

@@ -116,7 +116,7 @@ class ModelPerceiver:
             distance = np.linalg.norm(place, axis=1)
             R_camera_ray = ray_frame(place)
             shift, turn = (
-                np.einsum("nij,nj->ni", R_camera_ray, self._errors(channel, rows, k, kind, distance, visible[:, k]))
+                (R_camera_ray * self._errors(channel, rows, k, kind, distance, visible[:, k])[:, None, :]).sum(axis=-1)
                 for kind, channel in enumerate((entry.shift, entry.turn))
             )
             told[:, k, :3, 3] += shift

@@ -37,7 +37,7 @@ class Visibility:
             T_camera_object: (n, k, 4, 4) where the objects are in the frame ``head_camera``.
         """
         T = camera.T_OPTICAL_CAMERA @ T_camera_object
-        p = np.einsum("nkij,kpj->nkpi", T[..., :3, :3], self._points) + T[..., None, :3, 3]
+        p = (T[:, :, None, :3, :3] * self._points[:, :, None, :]).sum(axis=-1) + T[..., None, :3, 3]
         depth = p[..., 2]
         in_front = depth > 0.05
         uv = self._intrinsics.project(np.where(in_front[..., None], p, 1.0))

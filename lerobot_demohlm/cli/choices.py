@@ -4,7 +4,7 @@ from typing import Literal
 
 Policy = Literal["mlp", "act", "diffusion"]
 """Of ``policies.presets.POLICIES``."""
-Preset = Literal["paper", "cpu"]
+Preset = Literal["paper", "cpu", "vision-cpu", "vision-paper"]
 """Of ``policies.presets.NAMES``."""
 Perception = Literal["exact", "model", "rgbd", "apriltag", "remote"]
 """Of ``gym_demohlm.perception.settings.SOURCES``."""

@@ -243,6 +243,12 @@ VERBS = (
         example="demohlm benchmark teleoperation --seconds 60",
     ),
     Verb(
+        name="benchmark perception",
+        group="benchmarks",
+        help="measure a policy's success against bias, latency and loss of its poses, camera errors and mesh scale",
+        example="demohlm benchmark perception --figure curves.png",
+    ),
+    Verb(
         name="benchmark perturbed",
         group="benchmarks",
         help="measure generation from demonstrations of operators who are late, tremble, pause and lose tracking",

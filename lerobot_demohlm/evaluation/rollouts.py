@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.perception.settings import PerceptionSettings
@@ -101,7 +102,7 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
     env_config = DemoHLMEnvConfig(task=task, obs_type="pixels_agent_pos")
     known = env_to_policy_features(env_config)
     for key, feature in {**(config.input_features or {}), **(config.output_features or {})}.items():
-        if key not in known or tuple(feature.shape) != tuple(known[key].shape):
+        if key not in known or not _fits(key, tuple(feature.shape), tuple(known[key].shape)):
             offered = f"{key} {known[key].shape}" if key in known else f"one of {', '.join(known)}"
             raise PolicyError(f"a policy with {key} {feature.shape}", offered, f"train it on a dataset of {task}")
     policy = get_policy_class(config.type).from_pretrained(path, config=config)
@@ -122,6 +123,11 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
         train_seed=trained.get("seed"),
         needs_images=bool(config.image_features),
     )
+
+
+def _fits(key: str, shape: tuple[int, ...], offered: tuple[int, ...]) -> bool:
+    """Tell whether the environment can give a policy a feature; it draws pictures of any size."""
+    return shape == offered or (key.startswith("observation.images.") and len(shape) == 3 and shape[0] == offered[0])
 
 
 def _training(path: Path) -> dict[str, Any]:
@@ -246,11 +252,19 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         num_envs=setting.num_worlds,
         task=get_task(setting.task).name,
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
+        image_size=_image_size(loaded),
         region=setting.region,
         perception=setting.perception,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
+
+
+def _image_size(loaded: LoadedPolicy) -> tuple[int, int]:
+    """Return the width and height [px] of the pictures that a policy was trained on."""
+    for feature in loaded.policy.config.image_features.values():
+        return int(feature.shape[2]), int(feature.shape[1])
+    return WIDTH, HEIGHT
 
 
 def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None) -> list[Rollout]:
