@@ -236,6 +236,11 @@ def build_scene(task: Task, physics: Physics | None = None) -> Scene:
     return Scene(task, physics)
 
 
+def scene_spec(task: Task) -> mujoco.MjSpec:
+    """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
+    return _build_spec(task, None)
+
+
 def aim_overview(
     spec: mujoco.MjSpec,
     eye: tuple[float, float, float],

@@ -31,8 +31,10 @@ from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
+from lerobot_demohlm.checks.pictures import PictureCheck
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
+from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.facts import installed_versions, read_facts
 from lerobot_demohlm.datasets.reader import StoredEpisode
 from lerobot_demohlm.datasets.variation import DataVariation
@@ -238,10 +240,28 @@ class _Bench:
         entries, found = reader.read(root, batch), []
         edited = [entry for entry in entries if entry.fingerprints is None]
         for facts, whole in self._by_run([entry for entry in entries if entry.fingerprints is not None]):
-            found += compare(self._sim(facts), whole, bounded)
+            found += self._repeat(self._sim(facts), whole, bounded)
         for facts, again in self._by_run(edited):
             found += self._generate(facts, again)
         return sorted((each for each in found if each is not None), key=lambda each: each.episode)
+
+    def _repeat(self, sim: Simulation, entries: Sequence[StoredEpisode], bounded: bool) -> list[Difference | None]:
+        """Simulate episodes again, and draw them again where the dataset has pictures."""
+        check = self._pictures
+        if check is None:
+            return compare(sim, entries, bounded)
+        check.recorder.clear()
+        found = compare(sim, entries, bounded, check.recorder)
+        if all(each is None for each in found):  # else the states are not those of the pictures
+            found += check.compare(entries)
+        return found
+
+    @functools.cached_property
+    def _pictures(self) -> PictureCheck | None:
+        root = self._request.root
+        if origin.is_edited(root) or not PictureFacts.read(read_facts(root)).cameras:
+            return None
+        return PictureCheck(root, self._task, read_facts(root))
 
     def _by_run(self, entries: Sequence[StoredEpisode]) -> list[tuple[dict[str, Any], list[StoredEpisode]]]:
         """Return the facts of each run that episodes come from, and these episodes."""

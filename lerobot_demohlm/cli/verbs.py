@@ -267,10 +267,28 @@ VERBS = (
         example="demohlm benchmark deployment --part link --seconds 60",
     ),
     Verb(
+        name="benchmark perception",
+        group="benchmarks",
+        help="measure a policy's success against bias, latency and loss of its poses, camera errors and mesh scale",
+        example="demohlm benchmark perception --figure curves.png",
+    ),
+    Verb(
         name="benchmark perturbed",
         group="benchmarks",
         help="measure generation from demonstrations of operators who are late, tremble, pause and lose tracking",
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
+    ),
+    Verb(
+        name="pose-server",
+        group="policies",
+        help="serve object poses to environments with perception=remote, from the pictures that they send",
+        example="demohlm pose-server --backend tracker",
+    ),
+    Verb(
+        name="fit-perception",
+        group="training",
+        help="fit the error model of perception=model to what the tracker makes of drawn pictures",
+        example="demohlm fit-perception --task LiftBox --num-episodes 2 --num-checks 1 --output lift_box.json",
     ),
     Verb(
         name="train-controller",

@@ -17,6 +17,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import OBSERVATION_TYPES
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import environment_id, get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
 from lerobot_demohlm.evaluation.batch_rows import row_processors
@@ -34,7 +35,7 @@ class DemoHLMEnvConfig(EnvConfig):
     region: str = DEFAULT_REGION
     """Initial region: R1, R2 or R3."""
     perception: str = "exact"
-    """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
+    """How observation and gaze see objects, such as exact, model, or rgbd,masks=color: see docs/perception.md."""
     controller: str = DEFAULT
     """Whole-body controller: its name, path or hash, as `demohlm controllers` lists them."""
     obs_type: str = "state"
@@ -48,6 +49,7 @@ class DemoHLMEnvConfig(EnvConfig):
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
         find(self.controller)
+        self.perception = str(PerceptionSettings.read(self.perception))
         widths = set()
         for task in self.tasks:
             task.region(self.region)

@@ -19,8 +19,10 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.control.controllers import DEFAULT
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
 from lerobot_demohlm.evaluation.rollout import Rollout
@@ -101,7 +103,7 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
     env_config = DemoHLMEnvConfig(task=task, obs_type="pixels_agent_pos")
     known = env_to_policy_features(env_config)
     for key, feature in {**(config.input_features or {}), **(config.output_features or {})}.items():
-        if key not in known or tuple(feature.shape) != tuple(known[key].shape):
+        if key not in known or not _fits(key, tuple(feature.shape), tuple(known[key].shape)):
             offered = f"{key} {known[key].shape}" if key in known else f"one of {', '.join(known)}"
             raise PolicyError(f"a policy with {key} {feature.shape}", offered, f"train it on a dataset of {task}")
     policy = get_policy_class(config.type).from_pretrained(path, config=config)
@@ -122,6 +124,11 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
         train_seed=trained.get("seed"),
         needs_images=bool(config.image_features),
     )
+
+
+def _fits(key: str, shape: tuple[int, ...], offered: tuple[int, ...]) -> bool:
+    """Tell whether the environment can give a policy a feature; it draws pictures of any size."""
+    return shape == offered or (key.startswith("observation.images.") and len(shape) == 3 and shape[0] == offered[0])
 
 
 def _training(path: Path) -> dict[str, Any]:
@@ -151,7 +158,7 @@ class Setting:
         num_worlds: Episodes rolled out together in a process.
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
-        perception: How observation and gaze see objects: "exact" or "rgbd".
+        perception: How observation and gaze see objects, see ``gym_demohlm.perception.settings``.
         controller: Name, path or hash of the whole-body controller.
     """
 
@@ -166,6 +173,7 @@ class Setting:
     def __post_init__(self) -> None:
         """Check names and counts."""
         get_task(self.task).region(self.region)
+        object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
                 raise PolicyError(f"{name}={getattr(self, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
@@ -247,12 +255,20 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         num_envs=setting.num_worlds,
         task=get_task(setting.task).name,
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
+        image_size=_image_size(loaded),
         region=setting.region,
         perception=setting.perception,
         controller=setting.controller,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
+
+
+def _image_size(loaded: LoadedPolicy) -> tuple[int, int]:
+    """Return the width and height [px] of the pictures that a policy was trained on."""
+    for feature in loaded.policy.config.image_features.values():
+        return int(feature.shape[2]), int(feature.shape[1])
+    return WIDTH, HEIGHT
 
 
 def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None) -> list[Rollout]:
@@ -298,6 +314,8 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             ),
             length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
             clipped=int(clipped[world]),
+            perception=env.perception,
+            perception_faults=env.perception_faults(world),
             initial_state=starts[world],
         )
         for world, seed in enumerate(seeds)
