@@ -21,6 +21,7 @@ from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import get_variation
 
 if TYPE_CHECKING:
     from gym_demohlm.perception.sight import Sight
@@ -57,9 +58,10 @@ class RunningEpisodes:
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         controller: The shipped whole-body controller by default.
         perception: How objects are seen: "exact", or "rgbd" for a tracker of a simulated depth camera's images.
+        variation: How worlds differ: "none", "real" or "hard" (docs/variation.md).
 
     Raises:
-        UnknownNameError: No such obs_type or perception.
+        UnknownNameError: No such obs_type, perception or variation.
     """
 
     def __init__(
@@ -70,13 +72,14 @@ class RunningEpisodes:
         obs_type: str = "state",
         controller: Controller | None = None,
         perception: str = EXACT,
+        variation: str = "none",
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
         self.task = task
         self.obs_type = obs_type
         self.max_steps = max_episode_steps(task)
-        self.sim = Simulation(task, num_worlds, num_threads, controller)
+        self.sim = Simulation(task, num_worlds, num_threads, controller, variation=get_variation(variation))
         self._renderer = Renderer(self.sim.model)
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
@@ -87,14 +90,20 @@ class RunningEpisodes:
 
             self._sight = sight.Sight(self.sim, perception)
 
-    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
-        """Begin new episodes in some worlds, all by default; one initial state each."""
+    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> Sequence[InitialState]:
+        """Begin new episodes in some worlds, all by default; one initial state each.
+
+        Returns:
+            The initial states with the conditions of their worlds.
+        """
+        initial_states = [self.sim.vary(state) for state in initial_states]
         rows = np.arange(self.sim.num_worlds) if worlds is None else np.asarray(worlds)
         self.sim.reset(initial_states, rows)
         self._judge.reset(rows)
         self._steps[rows] = self._clipped[rows] = 0
         if self._sight is not None:
             self._sight.begin(rows, initial_states)
+        return initial_states
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Transition:
         """Apply one action a world for 0.1 s.

@@ -29,6 +29,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
@@ -120,6 +121,14 @@ def mismatches(facts: dict[str, Any], task: Task) -> tuple[str, ...]:
     )
 
 
+def _variation(facts: Sequence[dict[str, Any]]) -> str:
+    """Return how the worlds of a dataset's runs differ."""
+    names = sorted({DataVariation.read(run).variation for run in facts})
+    if len(names) != 1:
+        raise DatasetError(f"runs of the variations {', '.join(names)}", "one variation", "verify them one by one")
+    return names[0]
+
+
 def _same(name: str, then: object, now: str) -> bool:
     return then == now or (name == "cpu" and isinstance(then, str) and provenance.kind_of_processor(then) == now)
 
@@ -169,7 +178,7 @@ def verify(
     batches = [tuple(chosen[first : first + NUM_WORLDS]) for first in range(0, len(chosen), NUM_WORLDS)]
     differences: list[Difference] = []
     request = _Request(root=root, task=task.name, module=task.module, demonstration=demonstration)
-    request = replace(request, bounded=bool(other_versions))
+    request = replace(request, bounded=bool(other_versions), variation=_variation(facts))
     with tqdm(total=len(chosen), desc="verify", unit="episode", disable=not show_progress) as bar:
         for batch, found in zip(batches, _run(request, task, batches, num_workers), strict=True):
             differences += found
@@ -194,6 +203,7 @@ class _Request:
         module: Which registers the task.
         demonstration: Directory of the demonstration; None for the packaged one.
         bounded: Whether to go on after a difference and measure how far the episode deviates.
+        variation: How its worlds differ.
     """
 
     root: Path
@@ -201,6 +211,7 @@ class _Request:
     module: str
     demonstration: Path | None
     bounded: bool = False
+    variation: str = "none"
 
 
 class _Bench:
@@ -214,7 +225,7 @@ class _Bench:
 
     def __init__(self, request: _Request, task: Task, num_worlds: int) -> None:
         self._request, self._task = request, task
-        self._sim = Simulation(task, num_worlds=num_worlds)
+        self._sim = Simulation(task, num_worlds=num_worlds, variation=get_variation(request.variation))
 
     def check(self, batch: Sequence[int]) -> list[Difference]:
         """Check the episodes of one batch; returns the first difference of each that has one, by episode."""

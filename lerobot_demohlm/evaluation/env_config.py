@@ -18,6 +18,7 @@ from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registry import environment_id, get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.batch_rows import row_processors
 
 CAMERA = "head"
@@ -34,6 +35,8 @@ class DemoHLMEnvConfig(EnvConfig):
     """Initial region: R1, R2 or R3."""
     perception: str = "exact"
     """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
+    variation: str = "none"
+    """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -44,6 +47,7 @@ class DemoHLMEnvConfig(EnvConfig):
         """Check the names and fill the feature tables from the environment's."""
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
+        get_variation(self.variation)
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -81,6 +85,7 @@ class DemoHLMEnvConfig(EnvConfig):
             "render_mode": self.render_mode,
             "region": self.region,
             "perception": self.perception,
+            "variation": self.variation,
         }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:

@@ -25,7 +25,8 @@ class Rollout:
         length_s: Simulated time [s].
         clipped: Numbers in commands that were outside their bounds.
         initial_state: Where the episode began: "robot" (x [m], y [m], yaw [rad]) in the world, "object" (y [m],
-            z [m], yaw [rad]) as differences from the task's layout.
+            z [m], yaw [rad]) as differences from the task's layout, and the conditions of its world.
+        variation: How worlds differed.
     """
 
     task: str
@@ -42,6 +43,7 @@ class Rollout:
     length_s: float
     clipped: int = 0
     initial_state: Mapping[str, list[float]]
+    variation: str = "none"
 
     def __post_init__(self) -> None:
         """Check the outcome."""

@@ -22,6 +22,7 @@ from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
@@ -151,6 +152,7 @@ class Setting:
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
         perception: How observation and gaze see objects: "exact" or "rgbd".
+        variation: How worlds differ: "none", "real" or "hard".
     """
 
     task: str
@@ -159,10 +161,12 @@ class Setting:
     num_threads: int = 1
     num_workers: int = 1
     perception: str = "exact"
+    variation: str = "none"
 
     def __post_init__(self) -> None:
         """Check names and counts."""
         get_task(self.task).region(self.region)
+        get_variation(self.variation)
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
                 raise PolicyError(f"{name}={getattr(self, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
@@ -246,6 +250,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
         region=setting.region,
         perception=setting.perception,
+        variation=setting.variation,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
@@ -295,6 +300,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
             clipped=int(clipped[world]),
             initial_state=starts[world],
+            variation=env.sim.variation.name,
         )
         for world, seed in enumerate(seeds)
     ]

@@ -19,6 +19,7 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.judge import COLLISION_N, COLLISION_S, FALLEN_HEIGHT, FALLEN_TILT, Judge, fault_outcome
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
@@ -126,7 +127,9 @@ class Attempts:
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration, task)
-        self._sim = sim or Simulation(task, num_worlds=num_worlds)
+        self._sim = sim or Simulation(
+            task, num_worlds=num_worlds, variation=get_variation(self.settings.variation.variation)
+        )
         self._judge = Judge(self._sim)
         self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
@@ -148,6 +151,7 @@ class Attempts:
         variation = self.settings.variation
         noisy, spread = variation.command_noise > 0.0, variation.start_spread
         starts = [initial_state(self.task, self.region, self.seed, index, spread) for index in indices]
+        starts = [sim.vary(start) for start in starts]
         sim.reset(starts, np.arange(len(indices)))
         self._judge.reset(np.arange(len(indices)))
         self._on_step(sim)
