@@ -38,6 +38,7 @@ _CONTROL_SPEC = (
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
 )
 _ARMS = [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]
+_SHOULDER_ROLLS = [(g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1))]
 _WAIST_YAW = g1.BODY_JOINTS.index("waist_yaw")
 _BOUNDS = command.LOWER, command.UPPER
 OnTick = Callable[[np.ndarray, np.ndarray], None]
@@ -222,6 +223,8 @@ class Simulation(Worlds):
         limits = self.model.jnt_range[[self.model.joint(f"{joint}_joint").id for joint in g1.BODY_JOINTS]]
         posture = g1.HOME.copy()
         posture[_ARMS] += 0.0 if arms is None else np.array(arms)
+        for roll, outwards in _SHOULDER_ROLLS:
+            posture[roll] = g1.HOME[roll] + outwards * abs(posture[roll] - g1.HOME[roll])
         posture[_WAIST_YAW] += 0.0 if waist is None else waist[0]
         posture = np.clip(posture, limits[:, 0], limits[:, 1])
         self._qpos[row, self.scene.body_qpos] = posture

@@ -173,7 +173,9 @@ _ALL = (
     ),
     Factor(
         group="start", name="arms", unit="rad", size=len(g1.ARM_JOINTS), neutral=0.0, real=(-0.1, 0.1),
-        hard=(-0.25, 0.25), bounds=(-0.6, 0.6), meaning="posture of the arms against the robot's rest", source=_CHOSEN,
+        hard=(-0.2, 0.2), bounds=(-0.6, 0.6),
+        meaning="posture of the arms against the robot's rest; the shoulders roll outwards, away from the thighs",
+        source=_CHOSEN,
     ),
     Factor(
         group="start", name="waist", unit="rad", neutral=0.0, real=(-0.1, 0.1), hard=(-0.2, 0.2), bounds=(-0.5, 0.5),
@@ -181,7 +183,7 @@ _ALL = (
     ),
     Factor(
         group="pushes", name="pause", unit="s", size=MOST_PUSHES, neutral=None, real=(4.0, 8.0), hard=(3.0, 6.0),
-        bounds=(0.5, 1000.0), meaning="time between pushes, and before the first",
+        bounds=(0.02, 1000.0), meaning="time between pushes, and before the first",
         source=f"{_UNITREE}, `push_robot`: every 5 s",
     ),
     Factor(

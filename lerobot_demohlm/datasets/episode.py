@@ -1,5 +1,6 @@
 """One attempt at a task as arrays, and what of it ``meta/episodes`` holds; without torch or lerobot."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.simulation.judge import OUTCOMES
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import Conditions
 from lerobot_demohlm.reproducibility.fingerprint import FIELDS
 
 
@@ -108,12 +110,14 @@ class Episode:
     def labels(self) -> dict[str, Any]:
         """Return what the episode's row of ``meta/episodes`` says beside what LeRobot writes there."""
         executed = {} if self.executed is None else {"executed": self.executed.tobytes()}
+        conditions = Conditions.read(self.initial_state).write()
         return {
             "attempt": self.index,
             "outcome": self.outcome,
             "stage": self.stage,
             "fingerprints": self.fingerprints.tobytes(),
             **executed,
+            **({"conditions": json.dumps(conditions)} if conditions else {}),
         }
 
 
