@@ -1,9 +1,10 @@
 """Actions of N worlds -> what both environments report of their episodes: observation, reward, success, failure, time.
 
-Success is reported three ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
-and ``success_held`` (it held for 1 s without a break). ``is_success``, which LeRobot scores, is the strictest, the held
-one. An episode ends when the success was held, the robot fell or the physics broke down; the time limit truncates it.
-Successes, falls and collisions are judged as in generation (``simulation.judge``).
+Success is reported four ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
+``success_held`` (it held for 1 s without a break), and ``success_strict`` (the same without a drop or a collision at
+any time, and the robot stands for 2 s after it). ``is_success``, which LeRobot scores, is the strict one. An episode
+ends when the success was held, the robot fell or the physics broke down; the time limit truncates it. Successes, falls
+and collisions are judged as in generation (``simulation.judge``).
 """
 
 from collections.abc import Sequence
@@ -84,6 +85,7 @@ class RunningEpisodes:
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
+        self._strict = np.zeros(num_worlds, dtype=bool)
         self._sight: Sight | None = None
         if perception != EXACT:
             from gym_demohlm.perception import sight  # loads OpenCV and SciPy
@@ -101,6 +103,7 @@ class RunningEpisodes:
         self.sim.reset(initial_states, rows)
         self._judge.reset(rows)
         self._steps[rows] = self._clipped[rows] = 0
+        self._strict[rows] = False
         if self._sight is not None:
             self._sight.begin(rows, initial_states)
         return initial_states
@@ -122,6 +125,9 @@ class RunningEpisodes:
         self._judge.watch(result, moved)
         if self._sight is not None:
             self._sight.look(np.flatnonzero(moved & ~result.unstable))
+        ended = np.flatnonzero(moved & self._judge.success_held)
+        if len(ended):
+            self._strict[ended] = self._judge.strict(ended)
         info = self.info()
         terminated = info["success_held"] | info["fell"] | info["unstable"]
         truncated = ~terminated & (self._steps >= self.max_steps)
@@ -132,16 +138,17 @@ class RunningEpisodes:
     def info(self) -> dict[str, np.ndarray]:
         """Return what is known of each world's episode, (N,) each.
 
-        Keys: is_success, success, success_ever, success_held, fell, unstable, collided (has pressed on an obstacle with
-        more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of the last action
-        were out of bounds.
+        Keys: is_success, success, success_ever, success_held, success_strict, fell, unstable, collided (has pressed on
+        an obstacle with more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of
+        the last action were out of bounds.
         """
         judge = self._judge
         return {
-            "is_success": judge.success_held,
+            "is_success": self._strict.copy(),
             "success": judge.success.copy(),
             "success_ever": judge.success_ever.copy(),
             "success_held": judge.success_held,
+            "success_strict": self._strict.copy(),
             "fell": judge.fell.copy(),
             "unstable": judge.unstable.copy(),
             "collided": judge.collided.copy(),

@@ -42,6 +42,23 @@ class _Placement:
     mocap_index: int | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Offsets:
+    """How far objects are from their default poses.
+
+    Attributes:
+        x, y, z: Of all placed objects together [m].
+        yaw: Of each placed object about itself [rad].
+        own: By object, x and y [m] and yaw [rad] beside these.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    own: dict[str, tuple[float, ...]]
+
+
 class Scene:
     """One task's compiled model with its addresses. Only gains, what a `Memory` draws and `dress` change in it.
 
@@ -182,9 +199,9 @@ class Scene:
         Raises:
             SceneError: The state lacks "robot" or "object", or they are not three finite numbers each.
         """
-        (x, y, yaw), (dy, dz, dyaw) = (_three_numbers(initial_state, key) for key in ("robot", "object"))
-        conditions, model = Conditions.read(initial_state), self.model
-        dz = self._height(dz, conditions)
+        (x, y, yaw), model = _three_numbers(initial_state, "robot"), self.model
+        conditions = Conditions.read(initial_state)
+        offsets = self._offsets(initial_state, conditions)
         qpos = model.qpos0.copy()
         qpos[self.base_qpos : self.base_qpos + 7] = x, y, self._standing_height, *_yaw_quat(yaw)
         qpos[self.body_qpos] = g1.HOME
@@ -192,25 +209,41 @@ class Scene:
         mocap_pos = model.body_pos[mocap_bodies].copy()
         mocap_quat = model.body_quat[mocap_bodies].copy()
         for placement in self._placements:
-            position, quat = self._placed(placement.spec, dy, dz, dyaw)
+            position, quat = self._placed(placement.spec, offsets)
             if placement.qpos_address is not None:
                 position[2] += self._sunk(placement.spec.name, conditions)
                 qpos[placement.qpos_address : placement.qpos_address + 7] = *position, *quat
             elif placement.mocap_index is not None:
                 mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
             if placement.spec.height_joint is not None:
-                qpos[self._slide_address(placement.spec.height_joint)] = dz
+                qpos[self._slide_address(placement.spec.height_joint)] = offsets.z
         for carrier, addresses in self._riders.items():
             entry = self.task.object(carrier)
-            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, dy, dz, dyaw))
+            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, offsets))
             for address in addresses:
                 rider = poses.pose(model.qpos0[address : address + 3], model.qpos0[address + 3 : address + 7])
                 qpos[address : address + 7] = np.concatenate(poses.split(now @ poses.invert(start) @ rider))
         for index in self._supports:
-            mocap_pos[index, 1:] += dy, dz
+            mocap_pos[index, 1:] += offsets.y, offsets.z
+            if offsets.x != 0.0:
+                mocap_pos[index, 0] += offsets.x
         if self._top is not None:
-            self._place_clutter(qpos, conditions, np.array([0.0, dy, dz]))
+            self._place_clutter(qpos, conditions, np.array([offsets.x, offsets.y, offsets.z]))
         return qpos, mocap_pos, mocap_quat
+
+    def _offsets(self, initial_state: InitialState, conditions: Conditions) -> "_Offsets":
+        """Read how far objects are from their default poses.
+
+        Raises:
+            SceneError: A key is neither a start's nor an object's nor a condition's, or has not its numbers.
+        """
+        dy, dz, dyaw = _three_numbers(initial_state, "object")
+        (dx,) = _numbers(initial_state, "object_x", 1) if "object_x" in initial_state else (0.0,)
+        own = {}
+        for key in initial_state.keys() - {"robot", "object", "object_x"} - conditions.values.keys():
+            self.task.object(key)
+            own[key] = _numbers(initial_state, key, 3)
+        return _Offsets(x=dx, y=dy, z=self._height(dz, conditions), yaw=dyaw, own=own)
 
     def _height(self, dz: float, conditions: Conditions) -> float:
         """Return the offset in z [m] of objects and supports, no lower and no higher than the task's regions go."""
@@ -246,19 +279,25 @@ class Scene:
         reach = np.abs(model.geom_pos[own, :2]) + model.geom_aabb[own, 3:5]
         return 1.15 * float(norm(reach.max(axis=0)))
 
-    def _placed(self, entry: ObjectSpec, dy: float, dz: float, dyaw: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position [m] and quaternion wxyz of an object moved by a region's offsets."""
+    def _placed(self, entry: ObjectSpec, offsets: "_Offsets") -> tuple[np.ndarray, np.ndarray]:
+        """Return position [m] and quaternion wxyz of an object moved by offsets."""
         if entry.moves_with is not None:
             carrier = self.task.object(entry.moves_with)
-            now = poses.pose(*self._placed(carrier, dy, dz, dyaw))
+            now = poses.pose(*self._placed(carrier, offsets))
             return poses.split(
                 now @ poses.invert(_pose(carrier.position, carrier.yaw)) @ _pose(entry.position, entry.yaw)
             )
-        if not entry.placed:
-            dy = dz = dyaw = 0.0
-        position = np.array(entry.position)
-        position[1:] += dy, 0.0 if entry.height_joint is not None else dz
-        return position, np.array(_yaw_quat(entry.yaw + dyaw))
+        position, turn = np.array(entry.position), 0.0
+        if entry.placed:
+            position[1:] += offsets.y, 0.0 if entry.height_joint is not None else offsets.z
+            turn = offsets.yaw
+            if offsets.x != 0.0:
+                position[0] += offsets.x
+        if entry.name in offsets.own:
+            dx, dy, dyaw = offsets.own[entry.name]
+            position[:2] += dx, dy
+            turn += dyaw
+        return position, np.array(_yaw_quat(entry.yaw + turn))
 
     def _find_standing_height(self) -> float:
         """Return the height of the pelvis [m] at which the soles of the home pose touch the floor."""
@@ -474,11 +513,16 @@ def _collision_name(name: str) -> str:
 
 
 def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
+    x, y, z = _numbers(state, key, 3)
+    return x, y, z
+
+
+def _numbers(state: InitialState, key: str, count: int) -> tuple[float, ...]:
     values = state.get(key)
-    if values is None or len(values) != 3 or not all(math.isfinite(value) for value in values):
+    if values is None or len(values) != count or not all(math.isfinite(value) for value in values):
         expected = "'robot': [x, y, yaw] and 'object': [dy, dz, dyaw], finite numbers [m, rad]"
         raise SceneError(f"an initial state with {key}={values}", expected, "give all six numbers")
-    return float(values[0]), float(values[1]), float(values[2])
+    return tuple(float(value) for value in values)
 
 
 def _pose(position: tuple[float, float, float], yaw: float) -> np.ndarray:

@@ -38,7 +38,9 @@ _CONTROL_SPEC = (
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
 )
 _ARMS = [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]
-_SHOULDER_ROLLS = [(g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1))]
+_SHOULDER_ROLLS = [
+    (g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1), strict=True)
+]
 _WAIST_YAW = g1.BODY_JOINTS.index("waist_yaw")
 _BOUNDS = command.LOWER, command.UPPER
 OnTick = Callable[[np.ndarray, np.ndarray], None]

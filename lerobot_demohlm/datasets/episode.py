@@ -56,6 +56,8 @@ class Episode:
     """SHA-256 of the same, in hexadecimal."""
     retries: int = 0
     """How often it began again after a stage that failed."""
+    success_strict: bool = False
+    """Whether it succeeded without a fault at any time, and the robot stood for 2 s after it."""
     executed: np.ndarray | None = None
     """(T, 23) float32, the actions with the noise that they carried when they were executed; None without noise."""
 
@@ -105,6 +107,7 @@ class Episode:
             "initial_state": {name: [float(v) for v in values] for name, values in self.initial_state.items()},
             "digest": self.digest,
             "retries": self.retries,
+            "success_strict": self.success_strict,
         }
 
     def labels(self) -> dict[str, Any]:

@@ -21,6 +21,8 @@ class Rollout:
         success_ever: Whether the success condition was true at some step.
         success_end: Whether the success condition was true at the last step.
         success_held: Whether the success condition was true throughout one second.
+        success_strict: Whether it was held, nothing had gone wrong before, and the robot stood for 2 s after it; None
+            in files of versions that did not judge it.
         outcome: How the episode ended, one of ``OUTCOMES``.
         length_s: Simulated time [s].
         clipped: Numbers in commands that were outside their bounds.
@@ -44,6 +46,7 @@ class Rollout:
     clipped: int = 0
     initial_state: Mapping[str, list[float]]
     variation: str = "none"
+    success_strict: bool | None = None
 
     def __post_init__(self) -> None:
         """Check the outcome."""

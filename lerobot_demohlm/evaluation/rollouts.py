@@ -301,6 +301,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             clipped=int(clipped[world]),
             initial_state=starts[world],
             variation=env.sim.variation.name,
+            success_strict=bool(infos["success_strict"][world]),
         )
         for world, seed in enumerate(seeds)
     ]
