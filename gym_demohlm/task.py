@@ -203,6 +203,19 @@ class ObjectSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Goal:
+    """Where something is brought to.
+
+    Attributes:
+        object: Name of the object on which, in which or beside which it ends.
+        any_yaw: Whether that object's heading is of no account, as when a cube is set on another.
+    """
+
+    object: str
+    any_yaw: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Memory:
     """What a world remembers in addition to its physics, such as which parts of a board have been wiped.
 
@@ -237,6 +250,7 @@ class Task:
         regions: Initial regions by name. R4 is made from R3's yaw, see ``region``.
         highest_z: Largest offset in z of R4 [m], where something cannot be lifted so far.
         spreads: Objects that are moved by themselves, each on the same support as without it, by name.
+        goals: Objects that are brought to another one, by name; the motion that brings them there is about the latter.
         episode_length_s: Time limit [s].
         motion_frame: What the motion after a touch is relative to: "robot" for a motion that ends at the body, such as
             a lift; "hands" for one that ends where the hands touched, such as pressing something down; "scene" for one
@@ -260,6 +274,7 @@ class Task:
     regions: Mapping[str, Region] = REGIONS
     highest_z: float = 0.2
     spreads: Mapping[str, Spread] = field(default_factory=dict)
+    goals: Mapping[str, Goal] = field(default_factory=dict)
     episode_length_s: float = 30.0
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -286,6 +301,8 @@ class Task:
             *carriers,
             *self.riders,
             *self.spreads,
+            *self.goals,
+            *(goal.object for goal in self.goals.values()),
         ):
             self.object(name)
         for side, _ in self.contact_pairs:
@@ -293,6 +310,10 @@ class Task:
                 raise UnknownNameError("hand", side, ("left", "right"))
         if not self.episode_length_s > 0:
             raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
+
+    def is_scattered(self, region: str) -> bool:
+        """Tell whether objects start in a region each by itself, so that no motion can be about one of them alone."""
+        return any(own.everywhere or region == WIDEST for own in self.spreads.values())
 
     def object(self, name: str) -> ObjectSpec:
         """Return the tracked object of that name."""

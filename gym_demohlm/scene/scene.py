@@ -179,7 +179,11 @@ class Scene:
                 resizable=self._resizable(),
                 supports=self.task.supports,
             )
-            return spec.compile()
+            model = spec.compile()
+            plain = self.model if drawn else self.physics
+            if (model.nC, model.nM, model.ngeom) != (plain.nC, plain.nM, plain.ngeom):
+                raise ValueError("it is laid out in another way than the plain model")
+            return model
         except ValueError as error:
             raise SceneError(
                 f"conditions under which {self.task.name} does not compile ({error})", "a sound model", "narrow them"
@@ -410,6 +414,8 @@ def _build_spec(task: Task, physics: Physics | None, variation: Variation = NONE
     if "scene" in variation.groups:
         furnish(spec, task)
     _unbalance(spec)
+    if "objects" in variation.groups:
+        _load_off_centre(spec, task)
     for side, name in task.contact_pairs:
         _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
     for first, second in task.force_pairs:
@@ -435,6 +441,18 @@ def _unbalance(spec: mujoco.MjSpec) -> None:
                     radius = 0.05 * min(box.size)
                     mass = 4 / 3 * math.pi * radius**3 * _LEAD
                     add_picture(body, "sphere", [radius], middle, (0, 0, 0, 0), mass)
+
+
+def _load_off_centre(spec: mujoco.MjSpec, task: Task) -> None:
+    """Put a milligram off the middle of every loose object.
+
+    MuJoCo lays the matrices of a body out in another way where its centre of mass is its origin. Worlds that are
+    stepped together must be laid out alike, whatever the centres of mass of their objects.
+    """
+    for entry in task.objects:
+        body = spec.body(entry.name)
+        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+            add_picture(body, "sphere", [1e-3], (0.01, 0.01, 0.01), (0, 0, 0, 0), 1e-6)
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

@@ -136,7 +136,7 @@ class Attempts:
         self._on_command = on_command or (lambda _attempt, _command: None)
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
-        self._segments: list[Segment] = segment(demonstration, task)
+        self._segments: list[Segment] = segment(demonstration, task, task.is_scattered(region))
         self._sim = sim or Simulation(
             task, num_worlds=num_worlds, variation=get_variation(self.settings.variation.variation)
         )

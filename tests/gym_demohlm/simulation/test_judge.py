@@ -112,14 +112,14 @@ def test_a_touch_of_the_table_is_no_collision_in_an_episode(monkeypatch: pytest.
 
 
 def test_a_strict_success_has_no_fault_before_it_and_stands_after_it() -> None:
-    """Three robots that stand have succeeded: one is well, one had collided, and one is thrown up and will fall."""
+    """Three robots that stand have succeeded: one is well, one had collided, and one is thrown aside and will fall."""
     sim = Simulation(dataclasses.replace(TASK, success=lambda sim: np.ones(sim.num_worlds, dtype=bool)), 3)
     judge = Judge(sim)
     commands = np.tile(command.rest(), (3, 1))
     for _ in range(HOLD_STEPS):
         judge.watch(sim.step(commands), np.ones(3, dtype=bool))
     judge.faulty[1] = True
-    fast = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])
+    fast = np.array([0.0, 4.0, 1.0, 0.0, 0.0, 0.0])
     sim.set_velocity("pelvis", fast, np.array([2]))
     before = sim.snapshot()
     worlds = np.arange(3)

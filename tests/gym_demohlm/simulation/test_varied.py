@@ -49,8 +49,8 @@ def test_conditions_change_the_model_of_their_world_alone() -> None:
 
 
 def test_a_simulation_that_may_vary_leaves_plain_worlds_as_they_are() -> None:
-    """Without the cans of the group scene, a start without conditions has the bits of a plain simulation."""
-    plain, sim = Simulation(TASK), varied("real:objects+robot+start+pushes")
+    """Where no group adds bodies, a start without conditions has the bits of a plain simulation."""
+    plain, sim = Simulation(TASK), varied("real:robot+start+pushes")
     for one in (plain, sim):
         one.reset([START])
         run(one)
@@ -141,6 +141,17 @@ def test_furniture_collides_as_it_looks_and_cans_stand_on_tables(name: str) -> N
             )
     has_cans = any(scene.model.body(index).name == CLUTTER[0] for index in range(scene.model.nbody))
     assert has_cans == any("table" in support for support in task.supports)
+
+
+@pytest.mark.parametrize("name", sorted(all_tasks()))
+def test_models_of_worlds_are_laid_out_alike(name: str) -> None:
+    """MuJoCo steps worlds together in memory of one size, whatever their conditions."""
+    variation = get_variation("hard")
+    scene = build_scene(get_task(name), variation)
+    model, untouched = scene.world_models(variation.draw(3, scene.loose))
+    sizes = [size for size in dir(model) if size.startswith("n") and isinstance(getattr(model, size), int)]
+    for size in sizes:
+        assert getattr(model, size) == getattr(untouched, size) == getattr(scene.physics, size), size
 
 
 @pytest.mark.parametrize("name", sorted(all_tasks()))
