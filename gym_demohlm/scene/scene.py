@@ -444,7 +444,7 @@ def _unbalance(spec: mujoco.MjSpec) -> None:
 
 
 def _load_off_centre(spec: mujoco.MjSpec, task: Task) -> None:
-    """Put a milligram off the middle of every loose object.
+    """Put a gram off the middle of every loose object.
 
     MuJoCo lays the matrices of a body out in another way where its centre of mass is its origin. Worlds that are
     stepped together must be laid out alike, whatever the centres of mass of their objects.
@@ -452,7 +452,7 @@ def _load_off_centre(spec: mujoco.MjSpec, task: Task) -> None:
     for entry in task.objects:
         body = spec.body(entry.name)
         if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-            add_picture(body, "sphere", [1e-3], (0.01, 0.01, 0.01), (0, 0, 0, 0), 1e-6)
+            add_picture(body, "sphere", [1e-3], (0.01, 0.01, 0.01), (0, 0, 0, 0), 1e-3)
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
