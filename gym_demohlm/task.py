@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 InitialState = dict[str, list[float]]
 """Where an episode starts: ``{"robot": [x, y, yaw], "object": [dy, dz, dyaw]}`` [m, rad], world frame.
 
-``robot`` is the pelvis on the floor plane; ``object`` is added to the default pose of each placed object.
+``robot`` is the pelvis on the floor plane; ``object`` is added to the default pose of each placed object. There may be
+more keys: "object_x" [dx], added likewise; the name of an object with a ``Spread``, [dx, dy, dyaw] of its own; and
+conditions of the world, whose names have a dot (``gym_demohlm.variation``).
 """
 
 Predicate = Callable[["Worlds"], np.ndarray]
@@ -39,7 +41,7 @@ class Region:
     """Ranges from which an initial state is drawn uniformly (paper, appendix "Initial Regions").
 
     Attributes:
-        name: R1, R2 or R3.
+        name: R1, R2, R3 or R4.
         robot_x: Pelvis x [m].
         robot_y: Pelvis y [m].
         robot_yaw: Pelvis heading [rad].
@@ -89,6 +91,43 @@ class Region:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class WideRegion(Region):
+    """A region that also moves objects to and from the robot.
+
+    Attributes:
+        object_x: Offset of the object and its support from their default x [m].
+    """
+
+    object_x: Range
+
+    def sample(self, rng: np.random.Generator) -> InitialState:
+        """Draw one initial state with one more key, "object_x"; seven draws."""
+        x, y, yaw, dy, dz, dyaw, dx = (float(rng.uniform(*getattr(self, entry.name))) for entry in fields(self)[1:])
+        return {"robot": [x, y, yaw], "object": [dy, dz, dyaw], "object_x": [dx]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Ranges in which one object is moved by itself, beside what a region moves together.
+
+    Attributes:
+        x: Along the world's x axis [m].
+        y: Along the world's y axis [m].
+        yaw: About the vertical [rad].
+        everywhere: Whether it is moved in every region; else in R4 alone, and the paper's regions move all as one.
+    """
+
+    x: Range
+    y: Range
+    yaw: Range = (0.0, 0.0)
+    everywhere: bool = False
+
+    def sample(self, rng: np.random.Generator) -> list[float]:
+        """Draw [dx, dy, dyaw] [m, m, rad]; three draws."""
+        return [float(rng.uniform(*range_)) for range_ in (self.x, self.y, self.yaw)]
+
+
 def _region(name: str, xs: Range, y: float, yaw: float, dy: float, dz: float, dyaw: float) -> Region:
     return Region(
         name=name,
@@ -109,6 +148,10 @@ REGIONS: Mapping[str, Region] = MappingProxyType(
     }
 )
 DEFAULT_REGION = "R3"
+WIDEST = "R4"
+"""A region of every task beside those of the paper: three times as wide, and further ahead."""
+SCORING_SEEDS = range(3_000_000, 4_000_000)
+"""Seeds of starts that score: nothing is tuned on them, and no preset, test or default uses them."""
 
 
 def dropped(name: str, depth_m: float) -> Predicate:
@@ -160,6 +203,19 @@ class ObjectSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Goal:
+    """Where something is brought to.
+
+    Attributes:
+        object: Name of the object on which, in which or beside which it ends.
+        any_yaw: Whether that object's heading is of no account, as when a cube is set on another.
+    """
+
+    object: str
+    any_yaw: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Memory:
     """What a world remembers in addition to its physics, such as which parts of a board have been wiped.
 
@@ -191,7 +247,10 @@ class Task:
         contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
         force_pairs: Pairs of other bodies whose normal force is measured, such as a tool and what it works on.
         failures: Predicates that end an attempt, by the name of what went wrong, such as "dropped".
-        regions: Initial regions by name.
+        regions: Initial regions by name. R4 is made from R3's yaw, see ``region``.
+        highest_z: Largest offset in z of R4 [m], where something cannot be lifted so far.
+        spreads: Objects that are moved by themselves, each on the same support as without it, by name.
+        goals: Objects that are brought to another one, by name; the motion that brings them there is about the latter.
         episode_length_s: Time limit [s].
         motion_frame: What the motion after a touch is relative to: "robot" for a motion that ends at the body, such as
             a lift; "hands" for one that ends where the hands touched, such as pressing something down; "scene" for one
@@ -213,6 +272,9 @@ class Task:
     force_pairs: tuple[tuple[str, str], ...] = ()
     failures: Mapping[str, Predicate] = field(default_factory=dict)
     regions: Mapping[str, Region] = REGIONS
+    highest_z: float = 0.2
+    spreads: Mapping[str, Spread] = field(default_factory=dict)
+    goals: Mapping[str, Goal] = field(default_factory=dict)
     episode_length_s: float = 30.0
     motion_frame: MotionFrame = "robot"
     riders: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -233,13 +295,25 @@ class Task:
         if len(set(names)) != len(names) or not names:
             raise SceneError(f"objects {names} in task {self.name}", "one or more, each name once", "rename one")
         carriers = [entry.moves_with for entry in self.objects if entry.moves_with is not None]
-        for name in (self.gaze_target, *(name for _, name in self.contact_pairs), *carriers, *self.riders):
+        for name in (
+            self.gaze_target,
+            *(name for _, name in self.contact_pairs),
+            *carriers,
+            *self.riders,
+            *self.spreads,
+            *self.goals,
+            *(goal.object for goal in self.goals.values()),
+        ):
             self.object(name)
         for side, _ in self.contact_pairs:
             if side not in ("left", "right"):
                 raise UnknownNameError("hand", side, ("left", "right"))
         if not self.episode_length_s > 0:
             raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
+
+    def is_scattered(self, region: str) -> bool:
+        """Tell whether objects start in a region each by itself, so that no motion can be about one of them alone."""
+        return any(own.everywhere or region == WIDEST for own in self.spreads.values())
 
     def object(self, name: str) -> ObjectSpec:
         """Return the tracked object of that name."""
@@ -249,22 +323,42 @@ class Task:
         raise UnknownNameError("object", name, [spec.name for spec in self.objects])
 
     def region(self, name: str) -> Region:
-        """Return the initial region of that name."""
+        """Return the initial region of that name.
+
+        R4 has the robot 0.3 to 2 m away, up to 0.8 m aside and turned by up to 90 degrees, and objects up to 0.1 m
+        nearer or further, 0.15 m aside and 0.2 m lower or higher, with the yaw of R3.
+        """
+        if name == WIDEST and name not in self.regions and DEFAULT_REGION in self.regions:
+            return WideRegion(
+                name=WIDEST,
+                robot_x=(-2.0, -0.3),
+                robot_y=(-0.8, 0.8),
+                robot_yaw=(-math.pi / 2, math.pi / 2),
+                object_y=(-0.15, 0.15),
+                object_z=(-0.2, self.highest_z),
+                object_yaw=self.regions[DEFAULT_REGION].object_yaw,
+                object_x=(-0.1, 0.1),
+            )
         if name not in self.regions:
-            raise UnknownNameError("region", name, self.regions)
+            raise UnknownNameError("region", name, {*self.regions, WIDEST})
         return self.regions[name]
 
-    def sample(self, region: str, rng: np.random.Generator) -> InitialState:
+    def sample(self, region: str, rng: np.random.Generator, spread: float = 1.0) -> InitialState:
         """Draw an initial state from a region.
 
         Args:
             region: Name of the region.
             rng: Source of the randomness.
+            spread: Factor by which the ranges of the robot's pose are widened.
 
         Raises:
             UnknownNameError: The task has no such region.
         """
-        return self.region(region).sample(rng)
+        state = self.region(region).widened(spread).sample(rng)
+        for name, own in self.spreads.items():
+            if own.everywhere or region == WIDEST:
+                state[name] = own.sample(rng)
+        return state
 
     def default_state(self) -> InitialState:
         """Return a state without randomness: robot at the near edge of the regions, objects at their default poses."""

@@ -7,3 +7,5 @@ STEP_DT = CONTROL_DT * TICKS  # s, one step of environment and policy
 FPS = round(1 / STEP_DT)  # steps a second: the rate of datasets and films
 HOLD_S = 1.0  # s that success must last to count
 HOLD_STEPS = round(HOLD_S / STEP_DT)
+STAND_S = 2.0  # s that the robot must stand after a strict success
+STAND_STEPS = round(STAND_S / STEP_DT)

@@ -46,24 +46,24 @@ def test_train_and_evaluate(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def stack_cube(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def pile_cubes(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Return the example as a module that worker processes find too; its task is known to this test alone."""
     monkeypatch.setattr(record, "_registered", {})
-    monkeypatch.delitem(sys.modules, "stack_cube", raising=False)
+    monkeypatch.delitem(sys.modules, "pile_cubes", raising=False)
     monkeypatch.syspath_prepend(REPOSITORY / "examples")
-    return importlib.import_module("stack_cube")
+    return importlib.import_module("pile_cubes")
 
 
-def test_stack_cube_is_a_task(stack_cube: ModuleType) -> None:
-    assert registry.get_task("stack_cube:StackCube") is stack_cube.TASK
-    assert record.script_of(stack_cube.TASK).start is stack_cube.START
-    sim = Simulation(stack_cube.TASK, controller=HoldController(1))
+def test_pile_cubes_is_a_task(pile_cubes: ModuleType) -> None:
+    assert registry.get_task("pile_cubes:PileCubes") is pile_cubes.TASK
+    assert record.script_of(pile_cubes.TASK).start is pile_cubes.START
+    sim = Simulation(pile_cubes.TASK, controller=HoldController(1))
     sim.reset([{"robot": [-3.0, 0.0, 0.0], "object": [0.0, 0.0, 0.3]}])  # the robot topples where it is in nobody's way
     assert not sim.success()[0]
     T = sim.pose("blue")[0]
     for sideways, succeeds in ((0.0, True), (0.035, False)):
         for above, held in ((0.0, succeeds), (0.03, False)):  # m, set down or held up: only what rests is stacked
-            sim.set_pose("red", T @ poses.pose([sideways, 0.0, stack_cube.STACKED + above]))
+            sim.set_pose("red", T @ poses.pose([sideways, 0.0, pile_cubes.STACKED + above]))
             if above == 0.0:
                 sim.step(command.rest()[None])  # measures what presses on what
             assert sim.success()[0] == held
@@ -71,8 +71,8 @@ def test_stack_cube_is_a_task(stack_cube: ModuleType) -> None:
 
 
 @pytest.mark.slow
-def test_stack_cube(stack_cube: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stack_cube.main(tmp_path, num_attempts=2)
+def test_pile_cubes(pile_cubes: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pile_cubes.main(tmp_path, num_attempts=2)
     printed = capsys.readouterr().out
     assert "R1: 2 of 2 attempts succeeded" in printed and "R3: " in printed
 

@@ -31,13 +31,14 @@ class DemoHLMEnv(gym.Env):
         region: Initial region from which ``reset`` draws.
         controller: For one world, or its name, path or hash (`demohlm controllers`); the default one by default.
         perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
+        variation: How the world differs from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
     Attributes:
         task: Name of the task.
         task_description: The instruction in words.
 
     Raises:
-        UnknownNameError: No such task, region, obs_type, render_mode or perception.
+        UnknownNameError: No such task, region, obs_type, render_mode, perception or variation.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / STEP_DT)}
@@ -50,6 +51,7 @@ class DemoHLMEnv(gym.Env):
         region: str = DEFAULT_REGION,
         controller: Controller | str | None = None,
         perception: str | PerceptionSettings = EXACT,
+        variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
         definition = get_task(task)
@@ -58,7 +60,9 @@ class DemoHLMEnv(gym.Env):
         self.render_mode = render_mode
         self.observation_space = observation_space(definition, obs_type)
         self.action_space = action_space()
-        self._episodes = RunningEpisodes(definition, obs_type=obs_type, controller=controller, perception=perception)
+        self._episodes = RunningEpisodes(
+            definition, obs_type=obs_type, controller=controller, perception=perception, variation=variation
+        )
         self._max_episode_steps = self._episodes.max_steps
         self._window: Window | None = None
 
@@ -77,11 +81,11 @@ class DemoHLMEnv(gym.Env):
             options: "region": another region for this episode; "initial_state": the very state to start from.
 
         Returns:
-            Observation, and info with the initial state.
+            Observation, and info with the initial state and the conditions in it.
         """
         super().reset(seed=seed)
         state = initial_state(self._episodes.task, self.region, self.np_random, options)
-        self._episodes.reset([state])
+        (state,) = self._episodes.reset([state])
         self._show()
         return self._observe(), {**self._info(), "initial_state": state}
 

@@ -1,9 +1,10 @@
 """Actions of N worlds -> what both environments report of their episodes: observation, reward, success, failure, time.
 
-Success is reported three ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
-and ``success_held`` (it held for 1 s without a break). ``is_success``, which LeRobot scores, is the strictest, the held
-one. An episode ends when the success was held, the robot fell or the physics broke down; the time limit truncates it.
-Successes, falls and collisions are judged as in generation (``simulation.judge``).
+Success is reported four ways: ``success_ever`` (the paper's condition held at some step), ``success`` (it holds now),
+``success_held`` (it held for 1 s without a break), and ``success_strict`` (the same without a drop or a collision at
+any time, and the robot stands for 2 s after it). ``is_success``, which LeRobot scores, is the strict one. An episode
+ends when the success was held, the robot fell or the physics broke down; the time limit truncates it. Successes, falls
+and collisions are judged as in generation (``simulation.judge``).
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import get_variation
 
 if TYPE_CHECKING:
     from gym_demohlm.perception.sight import Sight
@@ -61,9 +63,10 @@ class RunningEpisodes:
         perception: How objects are seen, such as "exact", or "rgbd" for a tracker of a simulated depth camera's
             images; see ``gym_demohlm.perception.settings``.
         image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
+        variation: How worlds differ: "none", "real" or "hard" (docs/variation.md).
 
     Raises:
-        UnknownNameError: No such obs_type or perception.
+        UnknownNameError: No such obs_type, perception or variation.
     """
 
     def __init__(
@@ -75,19 +78,21 @@ class RunningEpisodes:
         controller: Controller | str | None = None,
         perception: str | PerceptionSettings = EXACT,
         image_size: tuple[int, int] = (WIDTH, HEIGHT),
+        variation: str = "none",
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", obs_type, OBSERVATION_TYPES)
         self.task = task
         self.obs_type = obs_type
         self.max_steps = max_episode_steps(task)
-        self.sim = Simulation(task, num_worlds, num_threads, controller)
+        self.sim = Simulation(task, num_worlds, num_threads, controller, variation=get_variation(variation))
         self._renderer = Renderer(self.sim.model)
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
         self._image_size = image_size
         self._small: SmallPictures | None = None
+        self._strict = np.zeros(num_worlds, dtype=bool)
         self._sight: Sight | None = None
         settings = PerceptionSettings.read(perception)
         if not settings.is_exact:
@@ -95,14 +100,21 @@ class RunningEpisodes:
 
             self._sight = sight.Sight(self.sim, settings)
 
-    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
-        """Begin new episodes in some worlds, all by default; one initial state each."""
+    def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> Sequence[InitialState]:
+        """Begin new episodes in some worlds, all by default; one initial state each.
+
+        Returns:
+            The initial states with the conditions of their worlds.
+        """
+        initial_states = [self.sim.vary(state) for state in initial_states]
         rows = np.arange(self.sim.num_worlds) if worlds is None else np.asarray(worlds)
         self.sim.reset(initial_states, rows)
         self._judge.reset(rows)
         self._steps[rows] = self._clipped[rows] = 0
+        self._strict[rows] = False
         if self._sight is not None:
             self._sight.begin(rows, initial_states)
+        return initial_states
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Transition:
         """Apply one action a world for 0.1 s.
@@ -121,6 +133,9 @@ class RunningEpisodes:
         self._judge.watch(result, moved)
         if self._sight is not None:
             self._sight.look(np.flatnonzero(moved & ~result.unstable))
+        ended = np.flatnonzero(moved & self._judge.success_held)
+        if len(ended):
+            self._strict[ended] = self._judge.strict(ended)
         info = self.info()
         terminated = info["success_held"] | info["fell"] | info["unstable"]
         truncated = ~terminated & (self._steps >= self.max_steps)
@@ -131,16 +146,17 @@ class RunningEpisodes:
     def info(self) -> dict[str, np.ndarray]:
         """Return what is known of each world's episode, (N,) each.
 
-        Keys: is_success, success, success_ever, success_held, fell, unstable, collided (has pressed on an obstacle with
-        more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of the last action
-        were out of bounds.
+        Keys: is_success, success, success_ever, success_held, success_strict, fell, unstable, collided (has pressed on
+        an obstacle with more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of
+        the last action were out of bounds.
         """
         judge = self._judge
         return {
-            "is_success": judge.success_held,
+            "is_success": self._strict.copy(),
             "success": judge.success.copy(),
             "success_ever": judge.success_ever.copy(),
             "success_held": judge.success_held,
+            "success_strict": self._strict.copy(),
             "fell": judge.fell.copy(),
             "unstable": judge.unstable.copy(),
             "collided": judge.collided.copy(),

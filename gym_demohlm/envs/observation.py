@@ -70,11 +70,12 @@ def environment_names(task: Task) -> tuple[str, ...]:
 def agent_pos(sim: Simulation) -> np.ndarray:
     """Return what the robot senses of itself, (N, 68) float32, see STATE_FEATURES."""
     roll_pitch_yaw = poses.rpy(sim.pose("torso")[:, :3, :3])
+    positions, velocities = sim.sensed_joints()
     columns = [
-        sim.joint_positions,
+        positions,
         sim.neck_positions,
         sim.gripper_positions,
-        sim.joint_velocities,
+        velocities,
         sim.neck_velocities,
         sim.gripper_velocities,
         roll_pitch_yaw[:, :2],

@@ -39,9 +39,10 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         controller: For N worlds, or its name, path or hash (`demohlm controllers`); the default one by default.
         perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
         image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
+        variation: How worlds differ from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
     Raises:
-        UnknownNameError: No such task, region, obs_type, render_mode or perception.
+        UnknownNameError: No such task, region, obs_type, render_mode, perception or variation.
         SceneError: Another autoreset mode.
     """
 
@@ -59,6 +60,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         controller: Controller | str | None = None,
         perception: str | PerceptionSettings = EXACT,
         image_size: tuple[int, int] = (WIDTH, HEIGHT),
+        variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
@@ -74,7 +76,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller, perception)
+        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller, perception, variation)
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
@@ -184,7 +186,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
                 raise SceneError("a step", "a reset before it", "call reset first")
             world_options = {**options, "initial_state": given[world]}
             states.append(initial_state(self._episodes.task, self.region, generator, world_options))
-        self._episodes.reset(states, worlds)
+        states = self._episodes.reset(states, worlds)
         self._ended[worlds] = False
         facts = self._episodes.info()
         collected: dict[str, Any] = infos or {}

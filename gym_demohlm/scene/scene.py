@@ -16,6 +16,10 @@ from gym_demohlm.robot.physics import Physics
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
 from gym_demohlm.scene.furniture import add_picture
 from gym_demohlm.task import InitialState, ObjectSpec, Task
+from gym_demohlm.variation import NONE, Conditions, Variation
+from gym_demohlm.variation.bodies import lowest_point, vary
+from gym_demohlm.variation.factors import LIMBS
+from gym_demohlm.variation.surroundings import furnish, place_clutter, resize_clutter, table_top
 
 OVERVIEW_CAMERA, OVERVIEW_FOVY = "overview", 45.0  # degrees
 HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
@@ -38,15 +42,34 @@ class _Placement:
     mocap_index: int | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Offsets:
+    """How far objects are from their default poses.
+
+    Attributes:
+        x, y, z: Of all placed objects together [m].
+        yaw: Of each placed object about itself [rad].
+        own: By object, x and y [m] and yaw [rad] beside these.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    own: dict[str, tuple[float, ...]]
+
+
 class Scene:
-    """One task's compiled model with its addresses. Only gains and what a `Memory` draws change in it.
+    """One task's compiled model with its addresses. Only gains, what a `Memory` draws and `dress` change in it.
 
     Args:
         task: The task.
         physics: Of the robot; ``gym_demohlm.robot.physics.PHYSICS`` by default.
+        variation: What may differ from world to world.
 
     Attributes:
         task: The task.
+        variation: What may differ from world to world.
         model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
         physics: The model without visual geoms, for stepping. It gives the same bits in less time: MuJoCo clears a byte
             for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.
@@ -59,11 +82,12 @@ class Scene:
         num_grippers: Number of gripper controls; they come after the controls of body and neck.
         contact_address: (pairs, slots) sensor addresses of the normal forces of task.contact_pairs, then force_pairs.
         collision_address: (obstacles, slots) sensor addresses of the normal forces of the robot on task.obstacles.
+        loose: Names of the tracked objects that have a free joint.
     """
 
-    def __init__(self, task: Task, physics: Physics | None = None) -> None:
-        self.task = task
-        spec = _build_spec(task, physics)
+    def __init__(self, task: Task, physics: Physics | None = None, variation: Variation = NONE) -> None:
+        self.task, self.variation = task, variation
+        spec = _build_spec(task, physics, variation)
         bare = spec.copy()
         bare.compiler.discardvisual = True
         try:
@@ -72,8 +96,9 @@ class Scene:
             raise SceneError(
                 f"a scene of {task.name} that does not compile ({error})", "a valid MjSpec", "mend its build function"
             ) from error
-        self.untouched = copy.copy(self.physics)
-        self.untouched.opt.noslip_iterations = 0
+        self.untouched = _without_noslip(self.physics)
+        self._specs = (spec, bare) if variation else None
+        self._gains: tuple[Sequence[float], Sequence[float]] | None = None
         model = self.model
         base = model.joint("floating_base_joint")
         self.base_qpos, self.base_qvel = int(base.qposadr[0]), int(base.dofadr[0])
@@ -87,6 +112,7 @@ class Scene:
         self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
         self._standing_height = self._find_standing_height()
         self._placements = tuple(self._placement(entry) for entry in task.objects)
+        self.loose = tuple(entry.spec.name for entry in self._placements if entry.qpos_address is not None)
         self._riders = {
             carrier: tuple(self._free_joint(name) for name in names) for carrier, names in task.riders.items()
         }
@@ -95,6 +121,7 @@ class Scene:
         self._frames = bodies | sites
         self._frames |= {alias: self._frames[name] for alias, name in FRAME_ALIASES.items()}
         self._supports = tuple(self._mocap_index(name) for name in task.supports)
+        self._top = table_top(spec, task) if "scene" in variation.groups else None
 
     def frame(self, name: str) -> tuple[str, int]:
         """Return ("site" | "body", id) of a frame name.
@@ -108,10 +135,64 @@ class Scene:
 
     def set_gains(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
         """Give the servos of ``g1.BODY_JOINTS`` their gains [Nm/rad, Nms/rad], in place."""
+        self._gains = stiffness, damping
         for model in (self.model, self.physics, self.untouched):
             for joint, k, d in zip(g1.BODY_JOINTS, stiffness, damping, strict=True):
                 servo = model.actuator(joint)
                 servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = k, -k, -d
+
+    def world_models(self, conditions: Conditions) -> tuple[mujoco.MjModel, mujoco.MjModel]:
+        """Return ``physics`` and ``untouched`` of a world under some conditions.
+
+        Raises:
+            SceneError: The scene was built without a variation, or the conditions name what it does not have.
+        """
+        if not conditions:
+            return self.physics, self.untouched
+        model = self._varied(conditions, drawn=False)
+        for limb, joints in LIMBS.items():
+            ratio = conditions.number("robot.gain", limb, plain=1.0)
+            for joint in joints:
+                servo, plain = model.actuator(joint), self.physics.actuator(joint)
+                servo.gainprm[0] = plain.gainprm[0] * ratio
+                servo.biasprm[1:3] = plain.biasprm[1:3] * ratio
+        return model, _without_noslip(model)
+
+    def dress(self, conditions: Conditions) -> None:
+        """Give the model, which worlds share, the shapes that one of them has, to draw it."""
+        source = self._varied(conditions, drawn=True)
+        for name in ("geom_size", "geom_pos", "geom_rbound", "geom_aabb"):
+            getattr(self.model, name)[:] = getattr(source, name)
+
+    def _varied(self, conditions: Conditions, *, drawn: bool) -> mujoco.MjModel:
+        """Compile the model of a world, with its visual geoms or without."""
+        if self._specs is None:
+            raise SceneError("a start with conditions in a plain scene", "a plain start", "name its variation")
+        spec = self._specs[0 if drawn else 1].copy()
+        try:
+            resize_clutter(spec, conditions)
+            vary(
+                spec,
+                self.physics,
+                conditions,
+                loose=self.loose,
+                resizable=self._resizable(),
+                supports=self.task.supports,
+            )
+            model = spec.compile()
+            plain = self.model if drawn else self.physics
+            if (model.nC, model.nM, model.ngeom) != (plain.nC, plain.nM, plain.ngeom):
+                raise ValueError("it is laid out in another way than the plain model")
+            return model
+        except ValueError as error:
+            raise SceneError(
+                f"conditions under which {self.task.name} does not compile ({error})", "a sound model", "narrow them"
+            ) from error
+
+    def _resizable(self) -> tuple[str, ...]:
+        """Return the loose objects whose size may change: of one body, with nothing inside."""
+        parents = {int(self.model.body_parentid[index]) for index in range(self.model.nbody)}
+        return tuple(name for name in self.loose if name not in self.task.riders and self._body(name).id not in parents)
 
     def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Turn an initial state into positions of the robot, at rest on its feet, of objects and of their supports.
@@ -122,8 +203,9 @@ class Scene:
         Raises:
             SceneError: The state lacks "robot" or "object", or they are not three finite numbers each.
         """
-        (x, y, yaw), (dy, dz, dyaw) = (_three_numbers(initial_state, key) for key in ("robot", "object"))
-        model = self.model
+        (x, y, yaw), model = _three_numbers(initial_state, "robot"), self.model
+        conditions = Conditions.read(initial_state)
+        offsets = self._offsets(initial_state, conditions)
         qpos = model.qpos0.copy()
         qpos[self.base_qpos : self.base_qpos + 7] = x, y, self._standing_height, *_yaw_quat(yaw)
         qpos[self.body_qpos] = g1.HOME
@@ -131,36 +213,95 @@ class Scene:
         mocap_pos = model.body_pos[mocap_bodies].copy()
         mocap_quat = model.body_quat[mocap_bodies].copy()
         for placement in self._placements:
-            position, quat = self._placed(placement.spec, dy, dz, dyaw)
+            position, quat = self._placed(placement.spec, offsets)
             if placement.qpos_address is not None:
+                position[2] += self._sunk(placement.spec.name, conditions)
                 qpos[placement.qpos_address : placement.qpos_address + 7] = *position, *quat
             elif placement.mocap_index is not None:
                 mocap_pos[placement.mocap_index], mocap_quat[placement.mocap_index] = position, quat
             if placement.spec.height_joint is not None:
-                qpos[self._slide_address(placement.spec.height_joint)] = dz
+                qpos[self._slide_address(placement.spec.height_joint)] = offsets.z
         for carrier, addresses in self._riders.items():
             entry = self.task.object(carrier)
-            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, dy, dz, dyaw))
+            start, now = _pose(entry.position, entry.yaw), poses.pose(*self._placed(entry, offsets))
             for address in addresses:
                 rider = poses.pose(model.qpos0[address : address + 3], model.qpos0[address + 3 : address + 7])
                 qpos[address : address + 7] = np.concatenate(poses.split(now @ poses.invert(start) @ rider))
         for index in self._supports:
-            mocap_pos[index, 1:] += dy, dz
+            mocap_pos[index, 1:] += offsets.y, offsets.z
+            if offsets.x != 0.0:
+                mocap_pos[index, 0] += offsets.x
+        if self._top is not None:
+            self._place_clutter(qpos, conditions, np.array([offsets.x, offsets.y, offsets.z]))
         return qpos, mocap_pos, mocap_quat
 
-    def _placed(self, entry: ObjectSpec, dy: float, dz: float, dyaw: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position [m] and quaternion wxyz of an object moved by a region's offsets."""
+    def _offsets(self, initial_state: InitialState, conditions: Conditions) -> "_Offsets":
+        """Read how far objects are from their default poses.
+
+        Raises:
+            SceneError: A key is neither a start's nor an object's nor a condition's, or has not its numbers.
+        """
+        dy, dz, dyaw = _three_numbers(initial_state, "object")
+        (dx,) = _numbers(initial_state, "object_x", 1) if "object_x" in initial_state else (0.0,)
+        own = {}
+        for key in initial_state.keys() - {"robot", "object", "object_x"} - conditions.values.keys():
+            self.task.object(key)
+            own[key] = _numbers(initial_state, key, 3)
+        return _Offsets(x=dx, y=dy, z=self._height(dz, conditions), yaw=dyaw, own=own)
+
+    def _height(self, dz: float, conditions: Conditions) -> float:
+        """Return the offset in z [m] of objects and supports, no lower and no higher than the task's regions go."""
+        shift = conditions.number("scene.height", plain=0.0)
+        if shift == 0.0:
+            return dz
+        lowest = min([dz, *(region.object_z[0] for region in self.task.regions.values())])
+        highest = max([dz, *(region.object_z[1] for region in self.task.regions.values())])
+        return min(max(dz + shift, lowest), highest)
+
+    def _sunk(self, name: str, conditions: Conditions) -> float:
+        """Return by how much an object of another size begins higher so that it still lies on what carries it [m]."""
+        size = conditions.number("objects.size", name, plain=1.0)
+        if size == 1.0 or name not in self._resizable():
+            return 0.0
+        return lowest_point(self.physics, name) * (1.0 - size)
+
+    def _place_clutter(self, qpos: np.ndarray, conditions: Conditions, shift: np.ndarray) -> None:
+        """Put the cans on the table, moved by a region's offsets (3,) [m], or far away."""
+        assert self._top is not None  # else there are none
+        addresses = [entry.qpos_address for entry in self._placements if entry.qpos_address is not None]
+        middles = np.array([qpos[address : address + 2] for address in addresses]) - shift[:2]
+        radii = np.array([self._radius(name) for name in self.loose])
+        for name, place in place_clutter(conditions, self._top, middles, radii).items():
+            address = self._free_joint(name)
+            away = place[2] < self._top.centre[2]
+            qpos[address : address + 7] = *(np.array(place) + (0.0 if away else shift)), 1.0, 0.0, 0.0, 0.0
+
+    def _radius(self, name: str) -> float:
+        """Return the radius of a circle around an object seen from above [m], with room for a larger size."""
+        model, body = self.physics, self._body(name).id
+        own = (model.geom_bodyid == body) & (model.geom_contype > 0)
+        reach = np.abs(model.geom_pos[own, :2]) + model.geom_aabb[own, 3:5]
+        return 1.15 * float(norm(reach.max(axis=0)))
+
+    def _placed(self, entry: ObjectSpec, offsets: "_Offsets") -> tuple[np.ndarray, np.ndarray]:
+        """Return position [m] and quaternion wxyz of an object moved by offsets."""
         if entry.moves_with is not None:
             carrier = self.task.object(entry.moves_with)
-            now = poses.pose(*self._placed(carrier, dy, dz, dyaw))
+            now = poses.pose(*self._placed(carrier, offsets))
             return poses.split(
                 now @ poses.invert(_pose(carrier.position, carrier.yaw)) @ _pose(entry.position, entry.yaw)
             )
-        if not entry.placed:
-            dy = dz = dyaw = 0.0
-        position = np.array(entry.position)
-        position[1:] += dy, 0.0 if entry.height_joint is not None else dz
-        return position, np.array(_yaw_quat(entry.yaw + dyaw))
+        position, turn = np.array(entry.position), 0.0
+        if entry.placed:
+            position[1:] += offsets.y, 0.0 if entry.height_joint is not None else offsets.z
+            turn = offsets.yaw
+            if offsets.x != 0.0:
+                position[0] += offsets.x
+        if entry.name in offsets.own:
+            dx, dy, dyaw = offsets.own[entry.name]
+            position[:2] += dx, dy
+            turn += dyaw
+        return position, np.array(_yaw_quat(entry.yaw + turn))
 
     def _find_standing_height(self) -> float:
         """Return the height of the pelvis [m] at which the soles of the home pose touch the floor."""
@@ -231,14 +372,21 @@ class Scene:
             raise UnknownNameError("body", name, names) from None
 
 
-def build_scene(task: Task, physics: Physics | None = None) -> Scene:
-    """Build and compile the scene of a task; arguments as ``Scene``."""
-    return Scene(task, physics)
+def build_scene(task: Task, physics: Physics | None = None, variation: Variation = NONE) -> Scene:
+    """Build and compile the scene of a task, whose worlds may differ as a variation says; arguments as ``Scene``."""
+    return Scene(task, physics, variation)
 
 
 def scene_spec(task: Task) -> mujoco.MjSpec:
     """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
     return _build_spec(task, None)
+
+
+def _without_noslip(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model without the no-slip pass."""
+    found = copy.copy(model)
+    found.opt.noslip_iterations = 0
+    return found
 
 
 def aim_overview(
@@ -263,12 +411,16 @@ def aim_overview(
     camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
 
 
-def _build_spec(task: Task, physics: Physics | None) -> mujoco.MjSpec:
+def _build_spec(task: Task, physics: Physics | None, variation: Variation = NONE) -> mujoco.MjSpec:
     spec = robot_spec(task.hands, physics)
     spec.modelname = task.name
     _add_surroundings(spec)
     task.build(spec)
+    if "scene" in variation.groups:
+        furnish(spec, task)
     _unbalance(spec)
+    if "objects" in variation.groups:
+        _load_off_centre(spec, task)
     for side, name in task.contact_pairs:
         _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
     for first, second in task.force_pairs:
@@ -294,6 +446,18 @@ def _unbalance(spec: mujoco.MjSpec) -> None:
                     radius = 0.05 * min(box.size)
                     mass = 4 / 3 * math.pi * radius**3 * _LEAD
                     add_picture(body, "sphere", [radius], middle, (0, 0, 0, 0), mass)
+
+
+def _load_off_centre(spec: mujoco.MjSpec, task: Task) -> None:
+    """Put a gram off the middle of every loose object.
+
+    MuJoCo lays the matrices of a body out in another way where its centre of mass is its origin. Worlds that are
+    stepped together must be laid out alike, whatever the centres of mass of their objects.
+    """
+    for entry in task.objects:
+        body = spec.body(entry.name)
+        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+            add_picture(body, "sphere", [1e-3], (0.01, 0.01, 0.01), (0, 0, 0, 0), 1e-3)
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
@@ -372,11 +536,16 @@ def _collision_name(name: str) -> str:
 
 
 def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
+    x, y, z = _numbers(state, key, 3)
+    return x, y, z
+
+
+def _numbers(state: InitialState, key: str, count: int) -> tuple[float, ...]:
     values = state.get(key)
-    if values is None or len(values) != 3 or not all(math.isfinite(value) for value in values):
+    if values is None or len(values) != count or not all(math.isfinite(value) for value in values):
         expected = "'robot': [x, y, yaw] and 'object': [dy, dz, dyaw], finite numbers [m, rad]"
         raise SceneError(f"an initial state with {key}={values}", expected, "give all six numbers")
-    return float(values[0]), float(values[1]), float(values[2])
+    return tuple(float(value) for value in values)
 
 
 def _pose(position: tuple[float, float, float], yaw: float) -> np.ndarray:

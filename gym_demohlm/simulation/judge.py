@@ -8,6 +8,10 @@ its outcome is judged where it ends. The rules are the same:
 - collided: the robot has pressed on an obstacle with more than 60 N for 0.3 s.
 - dropped, or another of the task's failures: its predicate holds.
 
+The strict success asks for more: it is held, nothing was dropped and nothing was collided with at any time, and the
+robot, told to keep its posture and to stand, does so for two more seconds without a fault. These seconds are no part of
+the episode: the worlds are brought back to where it ended.
+
 Rollouts measured before this judge counted any touch of an obstacle above 1 N as "collided". So among their episodes
 without success more were "collided", and fewer were "timeout". One that had both collided and dropped an object was
 "dropped", and is "collided" now. Successes and falls are counted as before.
@@ -19,7 +23,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gym_demohlm.timing import HOLD_STEPS, STEP_DT
+from gym_demohlm.control import command
+from gym_demohlm.timing import HOLD_STEPS, STAND_STEPS, STEP_DT
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.simulation import Simulation, StepResult
@@ -48,6 +53,7 @@ class Judge:
         unstable: (N,) bool, whether the physics broke down since the reset.
         collided: (N,) bool, whether the robot has collided since the reset.
         failures: The task's failure predicates by name, (N,) bool each, as they are now.
+        faulty: (N,) bool, whether anything has gone wrong since the reset, also where it has been mended since.
     """
 
     def __init__(self, sim: "Simulation") -> None:
@@ -57,6 +63,7 @@ class Judge:
         self._pressed_steps = np.zeros(count, dtype=np.int64)
         self.success_ever = np.zeros(count, dtype=bool)
         self.collided = np.zeros(count, dtype=bool)
+        self.faulty = np.zeros(count, dtype=bool)
         self._look()
 
     def reset(self, worlds: np.ndarray) -> None:
@@ -67,7 +74,7 @@ class Judge:
         """
         self._look()
         self._held_steps[worlds] = self._pressed_steps[worlds] = 0
-        self.collided[worlds] = False
+        self.collided[worlds] = self.faulty[worlds] = False
         self.success_ever[worlds] = self.success[worlds]
 
     def watch(self, result: "StepResult", moved: np.ndarray) -> None:
@@ -83,6 +90,7 @@ class Judge:
         pressed = result.collision_forces.max(axis=1) > COLLISION_N
         self._pressed_steps = np.where(moved, np.where(pressed, self._pressed_steps + 1, 0), self._pressed_steps)
         self.collided |= self._pressed_steps >= COLLISION_STEPS
+        self.faulty |= moved & np.any(list(self.faults().values()), axis=0)
 
     @property
     def success_held(self) -> np.ndarray:
@@ -96,11 +104,40 @@ class Judge:
             faults[name] = holds | faults[name] if name in faults else holds.copy()
         return faults
 
+    def strict(self, worlds: np.ndarray) -> np.ndarray:
+        """Return which of some worlds, whose episodes end now, are strict successes; every world stays as it is.
+
+        Args:
+            worlds: (n,) indices.
+
+        Returns:
+            (n,) bool.
+        """
+        good = self.success_held[worlds] & ~self.faulty[worlds]
+        if not good.any():
+            return good
+        good[good] = _stands(self._sim, worlds[good])
+        return good
+
     def _look(self) -> None:
         sim = self._sim
         self.unstable, self.fell, self.failures = sim.unstable, sim.fallen(), sim.failures()
         self.condition = sim.success()
         self.success = self.condition & ~self.unstable
+
+
+def _stands(sim: "Simulation", worlds: np.ndarray) -> np.ndarray:
+    """Return which of some worlds (n,) have no fault while the robot stands and keeps its posture for two seconds."""
+    before, on_tick, active = sim.snapshot(), sim.on_tick, np.zeros(sim.num_worlds, dtype=bool)
+    active[worlds], sim.on_tick = True, None
+    commands = sim.command
+    commands[:, command.VELOCITY] = 0.0
+    after = Judge(sim)
+    for _ in range(STAND_STEPS):
+        after.watch(sim.step(commands, active), active)
+    sim.restore(before)
+    sim.on_tick = on_tick
+    return ~after.faulty[worlds]
 
 
 def held(success: Sequence[bool] | np.ndarray) -> bool:

@@ -5,6 +5,8 @@ is carried over (the constraint solver starts cold at every controller tick). So
 any batch, on any number of threads, and from a restored snapshot.
 """
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,9 +21,12 @@ from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.robot import g1
+from gym_demohlm.simulation.disturbances import Disturbances
 from gym_demohlm.simulation.worlds import Worlds
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import CONTROL_DT, STEP_DT, TICKS
+from gym_demohlm.variation import NONE, Conditions, Variation
 
 MAX_ARM_SPEED = 5.0  # rad/s of the arms' targets: above what inverse kinematics asks for, below what motors can do
 GAZE_STEPS = 25  # after which the neck has turned from straight ahead to anywhere
@@ -32,6 +37,12 @@ _CONTROL_SPEC = (
     | mujoco.mjtState.mjSTATE_MOCAP_POS.value
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
 )
+_ARMS = [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]
+_SHOULDER_ROLLS = [
+    (g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1), strict=True)
+]
+_WAIST_YAW = g1.BODY_JOINTS.index("waist_yaw")
+_BOUNDS = command.LOWER, command.UPPER
 OnTick = Callable[[np.ndarray, np.ndarray], None]
 """Called after a controller tick with the worlds (n,) that took part and are sound, and the commands (N, 23)."""
 
@@ -108,6 +119,7 @@ class Simulation(Worlds):
         controller: Of the robots: for N worlds, or the name, path or hash of one (``control.controllers``). A
             controller of ours brings the physics that it was trained in.
         pool: What steps the physics, for as many threads; ``make_pool(num_threads)`` by default.
+        variation: What may differ from world to world; a world's conditions are in its initial state.
 
     Attributes:
         on_tick: Called after each controller tick, see ``OnTick``; None by default.
@@ -126,13 +138,14 @@ class Simulation(Worlds):
         num_threads: int = 1,
         controller: Controller | str | None = None,
         pool: Pool | None = None,
+        variation: Variation = NONE,
     ) -> None:
         if num_worlds < 1 or num_threads < 1:
             raise SceneError(f"num_worlds={num_worlds}, num_threads={num_threads}", "at least 1 each", "raise them")
         if controller is None or isinstance(controller, str):
             controller = WholeBodyController(num_worlds, controllers.find(controller or controllers.DEFAULT))
         ours = controller.settings if isinstance(controller, WholeBodyController) else None
-        super().__init__(task, num_worlds, ours.physics if ours else None)
+        super().__init__(task, num_worlds, ours.physics if ours else None, variation)
         model = self.model
         self._controller: Controller = controller
         if ours:
@@ -149,10 +162,31 @@ class Simulation(Worlds):
         self._states = np.zeros((num_worlds, substeps, self._physics.shape[1]))
         self._sensors = np.zeros((TICKS, num_worlds, substeps, model.nsensordata))
         self._stepped = np.arange(num_worlds)
+        self._models = [(self.scene.physics, self.scene.untouched)] * num_worlds
+        self._disturbances = Disturbances(num_worlds) if variation else None
+        self._targets = np.zeros((num_worlds, len(g1.BODY_JOINTS)))  # rad, of the tick before, for servos that are late
         self.reset([task.default_state()] * num_worlds)
+
+    @property
+    def variation(self) -> Variation:
+        """What may differ from world to world."""
+        return self.scene.variation
+
+    def vary(self, state: InitialState) -> InitialState:
+        """Return an initial state with the conditions of its episode, which are a function of task and start.
+
+        A start that has conditions already keeps them, and under the variation ``none`` it stays as it is.
+        """
+        if not self.variation or Conditions.read(state):
+            return state
+        text = json.dumps([self.task.name, state], sort_keys=True)
+        entropy = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "little")
+        return {**state, **self.variation.draw(entropy, self.scene.loose).write()}
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> None:
         """Put worlds at the start of an episode: robot at rest, objects and supports where the states say.
+
+        Conditions in the states become those of the worlds; none are drawn here, see ``vary``.
 
         Args:
             initial_states: One a world.
@@ -164,12 +198,16 @@ class Simulation(Worlds):
         rows = self._rows(worlds)
         if len(initial_states) != len(rows):
             raise SceneError(f"{len(initial_states)} initial states", f"{len(rows)}, one a world", "give one each")
+        conditions = [Conditions.read(state) for state in initial_states]
+        models = [self.scene.world_models(found) for found in conditions]
         placed = [self.scene.place(state) for state in initial_states]  # all of them before the first change
         for row, (qpos, mocap_pos, mocap_quat) in zip(rows, placed, strict=True):
             self._physics[row] = 0.0
             self._qpos[row] = qpos
             self._mocap[row] = np.concatenate([mocap_pos.ravel(), mocap_quat.ravel()])
         self._command[rows] = command.rest()
+        for row, found, model in zip(rows, conditions, models, strict=True):
+            self._set_conditions(row, found, model)
         for array in (self._neck, self._forces, self._collisions, self._unstable, self._memory):
             array[rows] = 0
         for _ in range(GAZE_STEPS):  # it looks where it should from the first image on
@@ -178,7 +216,27 @@ class Simulation(Worlds):
             self._qpos[rows[:, None], self.scene.neck_qpos] = self._neck[rows]
         self._stale[rows] = True
         self._start_poses[rows] = np.stack([self.pose(entry.name)[rows] for entry in self.task.objects], axis=1)
-        self._controller.reset(rows, self.proprioception(rows))
+        self._targets[rows] = self._qpos[rows[:, None], self.scene.body_qpos]
+        self._controller.reset(rows, self._sense(rows))
+
+    def _set_conditions(self, row: int, conditions: Conditions, models: tuple[mujoco.MjModel, mujoco.MjModel]) -> None:
+        """Give a world that has just been placed its models, its disturbances and the posture of its robot."""
+        self._conditions[row], self._models[row] = conditions, models
+        if self._disturbances is None:
+            return
+        self._disturbances.reset(row, conditions)
+        arms, waist = conditions.numbers("start.arms"), conditions.numbers("start.waist")
+        limits = self.model.jnt_range[[self.model.joint(f"{joint}_joint").id for joint in g1.BODY_JOINTS]]
+        posture = g1.HOME.copy()
+        posture[_ARMS] += 0.0 if arms is None else np.array(arms)
+        for roll, outwards in _SHOULDER_ROLLS:
+            posture[roll] = g1.HOME[roll] + outwards * abs(posture[roll] - g1.HOME[roll])
+        posture[_WAIST_YAW] += 0.0 if waist is None else waist[0]
+        posture = np.clip(posture, limits[:, 0], limits[:, 1])
+        self._qpos[row, self.scene.body_qpos] = posture
+        self._command[row, command.ARMS] = np.clip(
+            self._command[row, command.ARMS] + (posture - g1.HOME)[_ARMS], *(b[command.ARMS] for b in _BOUNDS)
+        )
 
     def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
         """Apply one command a world for 0.1 s.
@@ -284,7 +342,8 @@ class Simulation(Worlds):
     def _state(self) -> dict[str, np.ndarray]:
         """Return every array that makes a world, by its name in snapshots and in demonstrations on disk.
 
-        A task that remembers nothing has no "memory".
+        A task that remembers nothing has no "memory", and a simulation without variation no "targets". Conditions are
+        not in it: a snapshot is of a world under the conditions that it had.
         """
         state = {
             "physics": self._physics,
@@ -297,6 +356,8 @@ class Simulation(Worlds):
             "unstable": self._unstable,
             "start_poses": self._start_poses,
         }
+        if self._disturbances is not None:
+            state["targets"] = self._targets
         return state if self.task.memory is None else state | {"memory": self._memory}
 
     def set_pose(self, name: str, T_world_body: np.ndarray, worlds: np.ndarray | None = None) -> None:
@@ -382,15 +443,22 @@ class Simulation(Worlds):
             return rows
         everywhere = count == self.num_worlds
         chosen = slice(None) if everywhere else rows
+        if self._disturbances is not None:
+            push = self._disturbances.push(rows, self._ticks(rows))
+            self._qvel[rows[:, None], self.scene.base_qvel + np.arange(2)] += push
         command_rows, before = commands[chosen], self._physics[chosen]
         worlds = None if everywhere else rows
-        targets = self._controller.step(self.proprioception(chosen), command_rows, worlds)
+        targets = self._controller.step(self._sense(rows if self._disturbances else chosen), command_rows, worlds)
         grippers = command_rows[:, command.GRIPPERS][:, : self.scene.num_grippers]
         control = self._control[:count]
         control[:] = np.concatenate([targets, self._neck[chosen], grippers, self._mocap[chosen]], axis=1)[:, None]
+        if self._disturbances is not None:
+            for index, steps in enumerate(self._disturbances.delay_steps[rows]):
+                control[index, :steps, : targets.shape[1]] = self._targets[rows[index]]
+            self._targets[rows] = targets
         states = self._states[:count]
         self._pool.rollout(
-            [self.scene.physics if touching else self.scene.untouched for touching in self._touching(rows)],
+            [self._models[row][0 if touching else 1] for row, touching in zip(rows, self._touching(rows), strict=True)],
             self._data,
             before,
             control,
@@ -411,6 +479,24 @@ class Simulation(Worlds):
         self._physics[rows[sound]] = after[sound]
         self._sensors[: tick + 1, : np.count_nonzero(sound)] = self._sensors[: tick + 1, :count][:, sound]
         return rows[sound]
+
+    def sensed_joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions [rad] and velocities [rad/s] of the body joints as the encoders read them, (N, 29) each."""
+        if self._disturbances is None:
+            return super().sensed_joints()
+        sensed = self._sense(np.arange(self.num_worlds))
+        return sensed.q, sensed.dq
+
+    def _sense(self, worlds: np.ndarray | slice) -> Proprioception:
+        """Return what robots sense of themselves now, with the noise that their worlds have."""
+        sensed = self.proprioception(worlds)
+        if self._disturbances is None or isinstance(worlds, slice):
+            return sensed
+        return self._disturbances.sense(sensed, worlds, self._ticks(worlds))
+
+    def _ticks(self, rows: np.ndarray) -> np.ndarray:
+        """Return how many controller ticks some worlds have made since their resets, (n,)."""
+        return np.rint(self._physics[rows, 0] / CONTROL_DT).astype(np.int64)
 
     def _touching(self, rows: np.ndarray) -> np.ndarray:
         """Return whether a hand touched one of its objects at the end of the last step, for each of some worlds."""

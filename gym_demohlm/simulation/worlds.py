@@ -18,6 +18,7 @@ from gym_demohlm.robot.physics import Physics
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation.judge import FALLEN_HEIGHT, FALLEN_TILT
 from gym_demohlm.task import Task
+from gym_demohlm.variation import NONE, Conditions, Variation
 
 JAW_MARGIN = 0.002  # m: jaws this near to closed hold nothing
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS.value  # what a row of physics holds: time, qpos, qvel
@@ -30,6 +31,7 @@ class Worlds:
         task: The task.
         num_worlds: N.
         physics: Of the robots; that of scenes without a controller by default.
+        variation: What may differ from world to world.
 
     Attributes:
         task: The task.
@@ -38,9 +40,12 @@ class Worlds:
         num_worlds: N.
     """
 
-    def __init__(self, task: Task, num_worlds: int, physics: Physics | None = None) -> None:
+    def __init__(
+        self, task: Task, num_worlds: int, physics: Physics | None = None, variation: Variation = NONE
+    ) -> None:
         self.task = task
-        self.scene = build_scene(task, physics)
+        self.scene = build_scene(task, physics, variation)
+        self._conditions = [Conditions()] * num_worlds
         self.model = model = self.scene.model
         self.num_worlds = num_worlds
         self._physics = np.zeros((num_worlds, mujoco.mj_stateSize(model, STATE_SPEC)))
@@ -123,6 +128,14 @@ class Worlds:
     def joint_velocities(self) -> np.ndarray:
         """(N, 29) of the body joints [rad/s]."""
         return self._qvel[:, self.scene.body_qvel]
+
+    def sensed_joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions [rad] and velocities [rad/s] of the body joints as the encoders read them, (N, 29) each."""
+        return self.joint_positions, self.joint_velocities
+
+    def conditions(self, world: int = 0) -> Conditions:
+        """Return how a world differs from the plain one."""
+        return self._conditions[world]
 
     @property
     def neck_positions(self) -> np.ndarray:
@@ -250,6 +263,8 @@ class Worlds:
 
     def mj_data(self, world: int = 0) -> mujoco.MjData:
         """Return MuJoCo's data of a world for drawing, kinematics done; it changes at the next call."""
+        if self.scene.variation:
+            self.scene.dress(self._conditions[world])
         self._load(world)
         mujoco.mj_fwdPosition(self.model, self._scratch)
         if self.task.memory is not None:

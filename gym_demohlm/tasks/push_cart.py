@@ -92,6 +92,7 @@ TASK = Task(
     obstacles=("bed",),
     contact_pairs=(("left", "bar"), ("right", "bar")),
     regions=limit_yaw(REGIONS, math.pi / 4),
+    highest_z=0.05,  # the posts end
     motion_frame="hands",
     episode_length_s=35.0,
 )

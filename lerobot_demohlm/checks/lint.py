@@ -10,7 +10,7 @@ found. That depth has a line and a limit of its own, beside the depth that lasts
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import HOLD_S, HOLD_STEPS, PHYSICS_DT, STEP_DT
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
@@ -49,6 +50,7 @@ class Settings:
         seed: Of the starts and the commands.
         time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
         controller: Name, path or hash of the whole-body controller.
+        variation: How worlds differ; the demonstration itself is replayed in the plain world.
     """
 
     num_resets: int = 102
@@ -57,6 +59,7 @@ class Settings:
     seed: int = 0
     time_limit_s: float | None = None
     controller: str = DEFAULT
+    variation: str = "none"
 
     def __post_init__(self) -> None:
         for name in ("num_resets", "num_still", "num_episodes"):
@@ -64,6 +67,7 @@ class Settings:
                 raise DemoHLMError(f"{name}={getattr(self, name)}", "at least 1", "raise it")
         if self.time_limit_s is not None and not self.time_limit_s > 0:
             raise DemoHLMError(f"time_limit_s={self.time_limit_s}", "more than 0 s", "raise it")
+        get_variation(self.variation)
         if self.seed < 0:
             raise DemoHLMError(f"seed={self.seed}", "a seed of at least 0", "raise it")
 
@@ -108,9 +112,9 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = Simulation(task, settings.num_resets, controller=settings.controller)
+    sim = Simulation(task, settings.num_resets, controller=settings.controller, variation=get_variation(settings.variation))
     watch = OverlapWatch(sim)
-    sim.reset([task.sample(region, generators[region]) for region in regions])
+    sim.reset([sim.vary(task.sample(region, generators[region])) for region in regions])
     watch.look(np.arange(settings.num_resets))
     where = f"{settings.num_resets} resets in {', '.join(task.regions)}"
     checks = [
@@ -131,7 +135,7 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
     generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
     regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
-    sim = Simulation(task, num_worlds, controller=settings.controller)
+    sim = Simulation(task, num_worlds, controller=settings.controller, variation=get_variation(settings.variation))
     watch = OverlapWatch(sim)
     commands = np.tile(command.rest(), (num_worlds, 1))
     success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
@@ -140,7 +144,7 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     num_steps = max_episode_steps(task) if limit_s is None else max(1, round(limit_s / STEP_DT))
     for step in range(num_steps):
         if len(restart):
-            sim.reset([task.sample(regions[world], generators[world]) for world in restart], restart)
+            sim.reset([sim.vary(task.sample(regions[world], generators[world])) for world in restart], restart)
         for index, world in enumerate(range(num_still, num_worlds)):
             if step % PERIODS[index % len(PERIODS)] == 0:
                 commands[world] = generators[world].uniform(command.LOWER, command.UPPER)
@@ -229,9 +233,10 @@ def _check_replays(task: Task, demonstration: Demonstration, settings: Settings)
     from lerobot_demohlm.generation.attempt import Attempts
 
     count, region = settings.num_episodes, list(task.regions)[-1]
-    sim, broken = Simulation(task, min(count, REPLAYS_TOGETHER), controller=settings.controller), 0
+    worlds = min(count, REPLAYS_TOGETHER)
+    sim, broken = Simulation(task, worlds, controller=settings.controller, variation=get_variation(settings.variation)), 0
     watch = OverlapWatch(sim)
-    plain = stages.Settings(variation=PLAIN)
+    plain = stages.Settings(variation=replace(PLAIN, variation=settings.variation))
     attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)
     outcomes: Counter[str] = Counter()
     for first in range(0, count, sim.num_worlds):

@@ -30,6 +30,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
 from lerobot_demohlm.checks.pictures import PictureCheck
 from lerobot_demohlm.checks.repetition import compare, compare_again
@@ -232,7 +233,7 @@ class _Bench:
 
     def __init__(self, request: _Request, task: Task, num_worlds: int) -> None:
         self._request, self._task, self._num_worlds = request, task, num_worlds
-        self._sims: dict[str, Simulation] = {}  # by controller
+        self._sims: dict[tuple[str, str], Simulation] = {}  # by controller and variation
 
     def check(self, batch: Sequence[int]) -> list[Difference]:
         """Check the episodes of one batch; returns the first difference of each that has one, by episode."""
@@ -276,9 +277,11 @@ class _Bench:
 
     def _sim(self, facts: dict[str, Any]) -> Simulation:
         name = self._request.controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT
-        if name not in self._sims:
-            self._sims[name] = Simulation(self._task, self._num_worlds, controller=name)
-        return self._sims[name]
+        key = name, DataVariation.read(facts).variation
+        if key not in self._sims:
+            varied = get_variation(key[1])
+            self._sims[key] = Simulation(self._task, self._num_worlds, controller=name, variation=varied)
+        return self._sims[key]
 
     def _generate(self, facts: dict[str, Any], entries: Sequence[StoredEpisode]) -> list[Difference | None]:
         """Generate edited episodes of one run again, side by side."""

@@ -24,6 +24,7 @@ class Options:
         policy: A pretrained_model directory of `demohlm train` or lerobot-train.
         task: Name of the task, such as LiftBox.
         region: Initial region, R1 to R3.
+        variation: How worlds differ: none, real or hard, or groups of them such as "real:objects+pushes".
         num_episodes: Rollouts.
         seed: Seed of the first rollout; the next one has the next seed.
         num_worlds: Rollouts at a time in a process.
@@ -48,6 +49,7 @@ class Options:
     policy: Path
     task: str
     region: str = DEFAULT_REGION
+    variation: str = "none"
     num_episodes: int = 50
     seed: int = FIRST_SEED
     num_worlds: int = NUM_WORLDS
@@ -87,6 +89,7 @@ def run(options: Options) -> None:
     setting = Setting(
         task=options.task,
         region=options.region,
+        variation=options.variation,
         num_worlds=options.num_worlds,
         num_threads=options.num_threads,
         num_workers=options.num_workers,
@@ -98,5 +101,9 @@ def run(options: Options) -> None:
     seeds = range(options.seed, options.seed + options.num_episodes)
     with tempfile.TemporaryDirectory() as scratch:
         rollouts = evaluate(loaded, setting, seeds, options.output or Path(scratch) / "rollouts.jsonl")
-    seen = {} if perception.is_exact else {"perception": str(perception)}
-    print(json.dumps({"task": get_task(options.task).name, "region": options.region, **seen, **summarize(rollouts)}))
+    facts = {"task": get_task(options.task).name, "region": options.region}
+    if not perception.is_exact:
+        facts["perception"] = str(perception)
+    if options.variation != "none":
+        facts["variation"] = options.variation
+    print(json.dumps({**facts, **summarize(rollouts)}))

@@ -279,6 +279,12 @@ VERBS = (
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
+        name="benchmark variation",
+        group="benchmarks",
+        help="probe what generation makes of worlds that vary, one group of factors at a time",
+        example="demohlm benchmark variation --tasks LiftBox --variations real:objects real:pushes",
+    ),
+    Verb(
         name="pose-server",
         group="policies",
         help="serve object poses to environments with perception=remote, from the pictures that they send",

@@ -1,5 +1,6 @@
 """One attempt at a task as arrays, and what of it ``meta/episodes`` holds; without torch or lerobot."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.simulation.judge import OUTCOMES
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import Conditions
 from lerobot_demohlm.reproducibility.fingerprint import FIELDS
 
 
@@ -54,6 +56,8 @@ class Episode:
     """SHA-256 of the same, in hexadecimal."""
     retries: int = 0
     """How often it began again after a stage that failed."""
+    success_strict: bool = False
+    """Whether it succeeded without a fault at any time, and the robot stood for 2 s after it."""
     executed: np.ndarray | None = None
     """(T, 23) float32, the actions with the noise that they carried when they were executed; None without noise."""
 
@@ -103,17 +107,20 @@ class Episode:
             "initial_state": {name: [float(v) for v in values] for name, values in self.initial_state.items()},
             "digest": self.digest,
             "retries": self.retries,
+            "success_strict": self.success_strict,
         }
 
     def labels(self) -> dict[str, Any]:
         """Return what the episode's row of ``meta/episodes`` says beside what LeRobot writes there."""
         executed = {} if self.executed is None else {"executed": self.executed.tobytes()}
+        conditions = Conditions.read(self.initial_state).write()
         return {
             "attempt": self.index,
             "outcome": self.outcome,
             "stage": self.stage,
             "fingerprints": self.fingerprints.tobytes(),
             **executed,
+            **({"conditions": json.dumps(conditions)} if conditions else {}),
         }
 
 

@@ -174,6 +174,7 @@ def count_attempts(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "successes": outcomes["success"],
         "success_rate": outcomes["success"] / len(records),
         "outcomes": outcomes,
+        "strict_successes": sum(bool(record.get("success_strict")) for record in records),
         "first_try_successes": count_outcomes(record for record in records if not record.get("retries"))["success"],
     }
 

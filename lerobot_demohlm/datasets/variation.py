@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.variation import get_variation
 
 
-def _knob(default: float, *, plain: float) -> Any:  # noqa: ANN401
+def _knob(default: float | str, *, plain: float | str) -> Any:  # noqa: ANN401
     """Return a field whose least value is ``plain``, at which it changes nothing; older runs, without it, had that."""
     return field(default=default, metadata={"plain": plain})
 
@@ -25,8 +26,10 @@ class DataVariation:
         command_noise: Scale of the noise that commands carry when they are executed; datasets record them without it.
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
         stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.
+        variation: How worlds differ: none, real or hard, with a strength and groups as in "real@0.5:objects+pushes".
 
     Raises:
+        UnknownNameError: There is no such variation.
         DatasetError: A knob is below its plain value, not finite, or not whole where it counts something.
     """
 
@@ -34,11 +37,15 @@ class DataVariation:
     command_noise: float = _knob(1.0, plain=0.0)
     start_spread: float = _knob(1.0, plain=1.0)
     stance_spread: float = _knob(0.0, plain=0.0)
+    variation: str = _knob("none", plain="none")
 
     def __post_init__(self) -> None:
         """Check the knobs."""
         for knob in fields(self):
             value, plain = getattr(self, knob.name), knob.metadata["plain"]
+            if isinstance(plain, str):
+                get_variation(value)
+                continue
             if not plain <= value < math.inf or (isinstance(plain, int) and value != int(value)):
                 kind = "a whole number of " if isinstance(plain, int) else ""
                 raise DatasetError(
@@ -51,8 +58,11 @@ class DataVariation:
         return cls(**{knob.name: facts.get(knob.name, knob.metadata["plain"]) for knob in fields(cls)})
 
     def content(self) -> dict[str, Any]:
-        """Return the knobs as facts and results keep them."""
-        return asdict(self)
+        """Return the knobs as facts and results keep them; those of plain worlds do not name a variation."""
+        content = asdict(self)
+        if self.variation == "none":
+            del content["variation"]
+        return content
 
 
 PLAIN = DataVariation.read({})

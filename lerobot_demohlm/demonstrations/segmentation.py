@@ -4,7 +4,8 @@ Before a hand touches an object it follows the object (pre-manipulation); from t
 (manipulation), until it lets go and heads for another object. A gripper that closes just before it
 presses begins that touch. Hands that take one object at about the same time switch together. A hand that takes an
 object out of the other's follows it anew from where the other has brought it to rest. Once the demonstration walks,
-hands that hold something follow the base.
+hands that hold something follow the base. A thing that has a goal follows the goal once it has been lifted clear and
+carried there: so a demonstration may be about any number of objects, one after the other.
 """
 
 import json
@@ -20,7 +21,7 @@ from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
-from gym_demohlm.task import MotionFrame, Task
+from gym_demohlm.task import DEFAULT_REGION, MotionFrame, Task
 from lerobot_demohlm.demonstrations.demonstration import (
     CONTACT_FORCE_N,
     CORRECTIONS_PATH,
@@ -37,6 +38,7 @@ GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
 _ANCHOR_OF: dict[MotionFrame, Anchor] = {"robot": "body", "hands": "eef_heading", "scene": "eef"}
 REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
 MIN_REST_TICKS = 3
+CLEAR_M = 0.05  # an object that is so far from where it was taken is clear of what it lay on
 
 
 def _runs(active: np.ndarray, min_ticks: int) -> list[tuple[int, int]]:
@@ -105,12 +107,14 @@ def events(demonstration: Demonstration, task: Task) -> list[Event]:
     return sorted(found, key=lambda event: (event.tick, event.hand, event.kind))
 
 
-def segment(demonstration: Demonstration, task: Task) -> list[Segment]:
+def segment(demonstration: Demonstration, task: Task, scattered: bool | None = None) -> list[Segment]:
     """Cut a demonstration into segments: by its contacts, or as its hand-made corrections say.
 
     Args:
         demonstration: The recording.
         task: Its task, which names hands, objects and contact pairs, and in what frame motions are repeated.
+        scattered: Whether objects start each by itself, so that what is held follows its goal; as in most of the task's
+            regions by default.
 
     Returns:
         Segments ordered by hand and time; those of a hand cover [0, T) without gaps.
@@ -130,6 +134,8 @@ def segment(demonstration: Demonstration, task: Task) -> list[Segment]:
     segments = []
     for hand, other in zip(g1.SIDES, reversed(g1.SIDES), strict=True):
         taken_over = _cut_at_rest(demonstration, task, tracks[hand], switches[other])
+        if task.is_scattered(DEFAULT_REGION) if scattered is None else scattered:
+            taken_over = _cut_at_goals(demonstration, task, taken_over)
         segments += _cut_at_steps(demonstration, taken_over)
     return segments
 
@@ -153,6 +159,28 @@ def _cut_at_rest(
                 cut += [replace(entry, stop=rest), replace(entry, start=rest)]
                 continue
         cut.append(entry)
+    return cut
+
+
+def _cut_at_goals(demonstration: Demonstration, task: Task, track: list[Segment]) -> list[Segment]:
+    """Cut the motion of a hand that holds what has a goal: after the walk there, or once it has been lifted clear."""
+    names = [entry.name for entry in task.objects]
+    walks = np.abs(demonstration.action[:, command.VELOCITY]).max(axis=1) > 0.0
+    cut = []
+    for entry in track:
+        goal = task.goals.get(entry.object or "")
+        if entry.kind == "object" or goal is None:
+            cut.append(entry)
+            continue
+        way = demonstration.T_world_objects[entry.start : entry.stop, names.index(str(entry.object)), :3, 3]
+        away, steps = np.flatnonzero(norm(way - way[0]) > CLEAR_M), np.flatnonzero(walks[entry.start : entry.stop])
+        if not len(away):
+            cut.append(entry)
+            continue
+        begin = entry.start + int(steps[-1] + 1 if len(steps) else away[0])
+        cut.append(replace(entry, stop=begin))
+        if begin < entry.stop:
+            cut.append(replace(entry, kind="object", start=begin, object=goal.object, held=entry.object))
     return cut
 
 
@@ -254,7 +282,7 @@ def _corrected(demonstration: Demonstration, task: Task) -> list[Segment]:
             )
     for entry in segments:
         known = entry.object in names or (entry.object is None and entry.kind == "proprioception")
-        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS
+        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS and entry.held in (None, *names)
         if entry.kind not in ("object", "proprioception") or not known:
             raise DemonstrationError(
                 f"a corrected segment {entry}",

@@ -40,6 +40,7 @@ class Segment:
         stop: Tick after the last one.
         object: The object that it is about to touch, or has touched; None for a hand that touches nothing.
         anchor: Frame of a proprioception segment.
+        held: What the hand holds while it follows an object: the pose of the held thing relative to the object counts.
     """
 
     hand: str
@@ -48,3 +49,4 @@ class Segment:
     stop: int
     object: str | None
     anchor: Anchor = "eef_heading"
+    held: str | None = None

@@ -20,6 +20,7 @@ from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import environment_id, get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.batch_rows import row_processors
 
 CAMERA = "head"
@@ -38,6 +39,8 @@ class DemoHLMEnvConfig(EnvConfig):
     """How observation and gaze see objects, such as exact, model, or rgbd,masks=color: see docs/perception.md."""
     controller: str = DEFAULT
     """Whole-body controller: its name, path or hash, as `demohlm controllers` lists them."""
+    variation: str = "none"
+    """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -50,6 +53,7 @@ class DemoHLMEnvConfig(EnvConfig):
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
         find(self.controller)
         self.perception = str(PerceptionSettings.read(self.perception))
+        get_variation(self.variation)
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -88,6 +92,7 @@ class DemoHLMEnvConfig(EnvConfig):
             "region": self.region,
             "perception": self.perception,
             "controller": self.controller,
+            "variation": self.variation,
         }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:

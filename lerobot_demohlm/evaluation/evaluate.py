@@ -17,7 +17,7 @@ from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, r
 
 FIRST_SEED = 1_000_000
 """Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: no start is shared."""
-SUCCESSES = ("success_held", "success_end", "success_ever")
+SUCCESSES = ("success_strict", "success_held", "success_end", "success_ever")
 
 
 def evaluate(
@@ -54,6 +54,7 @@ def evaluate(
         "task": get_task(setting.task).name,
         "region": setting.region,
         "perception": setting.perception,
+        "variation": setting.variation,
         "policy": loaded.kind,
         "policy_hash": loaded.hash,
     }
@@ -98,6 +99,8 @@ def summarize(rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return the success rates of rollouts with their intervals, and the count of each outcome."""
     content: dict[str, Any] = {"episodes": len(rollouts)}
     for name in SUCCESSES:
+        if any(getattr(rollout, name) is None for rollout in rollouts):
+            continue  # of a version that did not judge it
         successes = sum(getattr(rollout, name) for rollout in rollouts)
         low, high = wilson(successes, len(rollouts))
         content[name] = {"rate": round(successes / len(rollouts), 4), "interval": [round(low, 4), round(high, 4)]}

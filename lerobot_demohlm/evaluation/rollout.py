@@ -21,13 +21,16 @@ class Rollout:
         success_ever: Whether the success condition was true at some step.
         success_end: Whether the success condition was true at the last step.
         success_held: Whether the success condition was true throughout one second.
+        success_strict: Whether it was held, nothing had gone wrong before, and the robot stood for 2 s after it; None
+            in files of versions that did not judge it.
         outcome: How the episode ended, one of ``OUTCOMES``.
         length_s: Simulated time [s].
         clipped: Numbers in commands that were outside their bounds.
         perception: How objects were seen, see ``gym_demohlm.perception.settings``.
         perception_faults: How often what went wrong with a pose server, by its reason.
         initial_state: Where the episode began: "robot" (x [m], y [m], yaw [rad]) in the world, "object" (y [m],
-            z [m], yaw [rad]) as differences from the task's layout.
+            z [m], yaw [rad]) as differences from the task's layout, and the conditions of its world.
+        variation: How worlds differed.
     """
 
     task: str
@@ -46,6 +49,8 @@ class Rollout:
     perception: str = "exact"
     perception_faults: Mapping[str, int] = field(default_factory=dict)
     initial_state: Mapping[str, list[float]]
+    variation: str = "none"
+    success_strict: bool | None = None
 
     def __post_init__(self) -> None:
         """Check the outcome."""

@@ -25,6 +25,7 @@ from gym_demohlm.errors import PolicyError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
@@ -160,6 +161,7 @@ class Setting:
         num_workers: Processes; more than one for a policy on the CPU only.
         perception: How observation and gaze see objects, see ``gym_demohlm.perception.settings``.
         controller: Name, path or hash of the whole-body controller.
+        variation: How worlds differ: "none", "real" or "hard".
     """
 
     task: str
@@ -169,11 +171,13 @@ class Setting:
     num_workers: int = 1
     perception: str = "exact"
     controller: str = DEFAULT
+    variation: str = "none"
 
     def __post_init__(self) -> None:
         """Check names and counts."""
         get_task(self.task).region(self.region)
         object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
+        get_variation(self.variation)
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
                 raise PolicyError(f"{name}={getattr(self, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
@@ -259,6 +263,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         region=setting.region,
         perception=setting.perception,
         controller=setting.controller,
+        variation=setting.variation,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
@@ -317,6 +322,8 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             perception=env.perception,
             perception_faults=env.perception_faults(world),
             initial_state=starts[world],
+            variation=env.sim.variation.name,
+            success_strict=bool(infos["success_strict"][world]),
         )
         for world, seed in enumerate(seeds)
     ]

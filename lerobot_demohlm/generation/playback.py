@@ -15,6 +15,7 @@ from lerobot_demohlm.demonstrations.segmentation import TOGETHER_TICKS, gripper_
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.base_path import BasePath
+from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
     PRE_MANIPULATION,
@@ -88,6 +89,7 @@ class Playback:
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._base_path = BasePath(demonstration, self.settings)
+        self._carrying = Carrying(world, task, demonstration, segments, settings.locomotion)
         gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)
         self._closing = _by_tick([(event.tick, event.hand) for event in gripping if event.kind == "close"])
         self._switches = {entry.start for entry in segments if entry.start > 0} | {event.tick for event in gripping}
@@ -95,6 +97,8 @@ class Playback:
     def run(self) -> Iterator[np.ndarray]:
         """Yield commands until the demonstration is over."""
         for tick in range(len(self.demonstration)):
+            if tick < self._carrying.resumes:
+                continue  # the robot has walked to the goal in its own way
             closing = self._closing.get(tick, [])
             if closing:
                 yield from self._settle(tick, closing)
@@ -107,6 +111,9 @@ class Playback:
                 self._check_reached()
                 self.stage = MANIPULATION
             self._follow_base(tick)
+            if self._carrying.begins(tick):
+                yield from self._carry(tick)
+                continue
             self._steer(tick)
             self.activity = "follow"
             yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self.world.pose("pelvis")))
@@ -139,7 +146,12 @@ class Playback:
         first = group[0]
         ticks = slice(first.start, max(entry.stop for entry in group))
         demonstrated = self.demonstration.T_world_targets[ticks][:, hands]
-        if first.kind == "object":
+        if first.held is not None:
+            targets = self._carrying.targets(group, self.last_targets[hands], self._symmetries)
+            for hand in hands:
+                self._motions.pop(hand, None)
+            self._shift[hands] = 0.0
+        elif first.kind == "object":
             assert first.object is not None  # object segments have one
             T_W_Od = self.demonstration.T_world_objects[first.start, self._names.index(first.object)]
             T_W_O = self.world.pose(first.object)
@@ -185,6 +197,11 @@ class Playback:
     def _steer(self, tick: int) -> None:
         """Move the targets of hands that follow an object by what they measurably miss: arms sag as they are held."""
         measured = self.world.hands()
+        for hand, missed in self._carrying.misses(tick, self._detours[tick]).items():
+            shift = self._shift[hand] + self.settings.steering_gain * missed
+            self._shift[hand] = shift * min(1.0, self.settings.max_shift_m / max(float(norm(shift)), 1e-9))
+        for hand in self._carrying.hands(tick):
+            self._targets[tick, hand, :3, 3] += self._shift[hand]
         for hand, motion in self._motions.items():
             wanted = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3] + self._detours[tick, hand]
             missed = wanted - measured[hand, :3, 3]
@@ -202,6 +219,13 @@ class Playback:
                 carried = retarget.carried_targets(demonstrated, T_W_Rd, T_W_R)
                 self._targets[tick, hand] = carried @ self._held_on_base[hand]
 
+    def _carry(self, tick: int) -> Iterator[np.ndarray]:
+        """Walk to the goal of what the hands hold, which stay where they are on the robot."""
+        self.activity = "walk on"
+        for velocity in self._carrying.walk(tick):
+            self._follow_base(tick)
+            yield self._command(self._targets[tick], tick, velocity)
+
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
         """Walk what is left of a walk that ends with this tick."""
         self.activity = "walk on"
@@ -214,7 +238,11 @@ class Playback:
 
     def _approached(self, tick: int, side: str) -> Segment | None:
         """Return the segment in which a hand goes to the object that it is about to take hold of at a tick."""
-        approaches = [entry for entry in self._tracks[side] if entry.kind == "object" and entry.start < tick]
+        approaches = [
+            entry
+            for entry in self._tracks[side]
+            if entry.kind == "object" and entry.held is None and entry.start < tick
+        ]
         recent = [entry for entry in approaches if tick - entry.stop <= TOGETHER_TICKS]
         return recent[-1] if recent else None
 

@@ -77,6 +77,7 @@ class GenerationSummary:
         outcomes: Attempts by outcome.
         variation: How attempts differ from plain ones, as requested.
         first_try_successes: Attempts that succeeded without a retry.
+        strict_successes: Attempts that succeeded without a fault at any time, whose robot stood for 2 s after it.
         episodes_per_hour: Successes per hour of this call; blocks that were on disk before it are not counted.
     """
 
@@ -89,6 +90,7 @@ class GenerationSummary:
     outcomes: dict[str, int]
     variation: DataVariation
     first_try_successes: int
+    strict_successes: int
     episodes_per_hour: float
 
 

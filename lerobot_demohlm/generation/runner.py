@@ -106,6 +106,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     finally:
         run.close()
     kept = ("task", "region", "seed", "attempts", "successes", "success_rate", "outcomes", "first_try_successes")
+    kept = (*kept, "strict_successes")
     return GenerationSummary(
         **{key: content[key] for key in kept},
         variation=request.variation,

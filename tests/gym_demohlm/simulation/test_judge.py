@@ -109,3 +109,30 @@ def test_a_touch_of_the_table_is_no_collision_in_an_episode(monkeypatch: pytest.
         collided = [bool(episodes.step(command.rest()[None]).info["collided"][0]) for _ in range(COLLISION_STEPS)]
         assert collided == [False] * (COLLISION_STEPS - 1) + [expected]
     episodes.close()
+
+
+def test_a_strict_success_has_no_fault_before_it_and_stands_after_it() -> None:
+    """Three robots that stand have succeeded: one is well, one had collided, and one is thrown aside and will fall."""
+    sim = Simulation(dataclasses.replace(TASK, success=lambda sim: np.ones(sim.num_worlds, dtype=bool)), 3)
+    judge = Judge(sim)
+    commands = np.tile(command.rest(), (3, 1))
+    for _ in range(HOLD_STEPS):
+        judge.watch(sim.step(commands), np.ones(3, dtype=bool))
+    judge.faulty[1] = True
+    fast = np.array([0.0, 4.0, 1.0, 0.0, 0.0, 0.0])
+    sim.set_velocity("pelvis", fast, np.array([2]))
+    before = sim.snapshot()
+    worlds = np.arange(3)
+    assert judge.success_held.all()
+    assert judge.strict(worlds).tolist() == [True, False, False]
+    assert all(np.array_equal(values, before[name]) for name, values in sim.snapshot().items())
+    judge.reset(worlds)
+    assert not judge.faulty.any() and not judge.strict(worlds).any()  # not held any more
+    sim.close()
+
+
+def test_a_fault_is_not_forgotten(judge: Judge) -> None:
+    for _ in range(COLLISION_STEPS):
+        judge.watch(pressing(100.0, 0.0), EVERY)
+    judge.watch(pressing(0.0, 0.0), EVERY)
+    assert judge.faulty.tolist() == [True, False]

@@ -1,7 +1,7 @@
-"""A task of your own, one demonstration of it, and generated episodes: StackCube, all in this file.
+"""A task of your own, one demonstration of it, and generated episodes: PileCubes, all in this file.
 
 Two cubes lie on a round table; the right gripper takes the red one and sets it on the blue one. The walk through this
-file is ``docs/adding_a_task.md``. Run: ``uv run python examples/stack_cube.py [DIRECTORY]``
+file is ``docs/adding_a_task.md``. Run: ``uv run python examples/pile_cubes.py [DIRECTORY]``
 """
 
 import math
@@ -55,7 +55,7 @@ def dropped(sim: Worlds) -> np.ndarray:
 
 
 TASK = Task(
-    name="StackCube",
+    name="PileCubes",
     description="Pick up the red cube with the right gripper and set it on the blue cube.",
     hands="gripper",
     build=build,
@@ -92,7 +92,7 @@ PALM = poses.rotation_from_rpy([0.0, TILT, 0.0])
 
 def make_operator() -> PathOperator:
     """Return the operator: each phase is planned when it begins, from where things are then."""
-    return PathOperator("scripted: stack_cube", [take, stack])
+    return PathOperator("scripted: pile_cubes", [take, stack])
 
 
 def take(view: SceneView) -> list[Waypoint]:
@@ -167,4 +167,4 @@ def main(directory: Path, num_attempts: int = 8) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("outputs/stack_cube"))
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("outputs/pile_cubes"))
