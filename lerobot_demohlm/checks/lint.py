@@ -112,7 +112,9 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = Simulation(task, settings.num_resets, controller=settings.controller, variation=get_variation(settings.variation))
+    sim = Simulation(
+        task, settings.num_resets, controller=settings.controller, variation=get_variation(settings.variation)
+    )
     watch = OverlapWatch(sim)
     sim.reset([sim.vary(task.sample(region, generators[region])) for region in regions])
     watch.look(np.arange(settings.num_resets))
@@ -234,7 +236,10 @@ def _check_replays(task: Task, demonstration: Demonstration, settings: Settings)
 
     count, region = settings.num_episodes, list(task.regions)[-1]
     worlds = min(count, REPLAYS_TOGETHER)
-    sim, broken = Simulation(task, worlds, controller=settings.controller, variation=get_variation(settings.variation)), 0
+    sim, broken = (
+        Simulation(task, worlds, controller=settings.controller, variation=get_variation(settings.variation)),
+        0,
+    )
     watch = OverlapWatch(sim)
     plain = stages.Settings(variation=replace(PLAIN, variation=settings.variation))
     attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)
