@@ -13,6 +13,15 @@ import pytest
 
 from gym_demohlm import registry
 
+SLOW_S = 3600  # a slow test may take so long on a busy machine
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give slow tests more time, but for those that say how much they need."""
+    for item in items:
+        if item.get_closest_marker("slow") is not None and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(SLOW_S))
+
 
 @pytest.fixture(autouse=True)
 def known_tasks() -> Iterator[None]:

@@ -1,14 +1,14 @@
 """A name, a path or a hash -> the weights file of a controller; several controllers are installed side by side.
 
-The default one is ``weights/g1_whole_body.npz``; the others are named by the first digits of their hash, so that what
-was recorded with a controller finds it again.
+Each file is named by the first digits of its hash, so that what was recorded with a controller finds it again.
+``default.txt`` beside them names the one that is used where none is asked for.
 """
 
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights
+from gym_demohlm.control.whole_body import DEFAULT_NAME, WEIGHTS_FOLDER, Weights
 from gym_demohlm.errors import SceneError, UnknownNameError
 
 DEFAULT = "default"
@@ -21,27 +21,34 @@ class Installed:
     """A controller in the package.
 
     Attributes:
-        name: ``default``, or the first digits of its hash.
+        name: The first digits of its hash.
         hash: SHA-256 of its file.
         path: Of its file.
+        is_default: Whether it is used where none is asked for.
     """
 
     name: str
     hash: str
     path: Path
+    is_default: bool
 
 
-def installed(folder: Path = DEFAULT_WEIGHTS.parent) -> list[Installed]:
+def installed(folder: Path = WEIGHTS_FOLDER) -> list[Installed]:
     """Return the controllers in a folder, the default one first."""
-    found = []
-    for path in sorted(folder.glob("*.npz"), key=lambda path: (path.name != DEFAULT_WEIGHTS.name, path.name)):
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        name = DEFAULT if path.name == DEFAULT_WEIGHTS.name else path.stem
-        found.append(Installed(name=name, hash=digest, path=path))
-    return found
+    default = (folder / DEFAULT_NAME.name).read_text().strip()
+    found = [
+        Installed(
+            name=path.stem,
+            hash=hashlib.sha256(path.read_bytes()).hexdigest(),
+            path=path,
+            is_default=path.stem == default,
+        )
+        for path in sorted(folder.glob("*.npz"))
+    ]
+    return sorted(found, key=lambda controller: not controller.is_default)
 
 
-def find(wanted: str, folder: Path = DEFAULT_WEIGHTS.parent) -> Path:
+def find(wanted: str, folder: Path = WEIGHTS_FOLDER) -> Path:
     """Return the weights file of a controller.
 
     Args:
@@ -59,18 +66,44 @@ def find(wanted: str, folder: Path = DEFAULT_WEIGHTS.parent) -> Path:
         return path
     there = installed(folder)
     for controller in there:
-        if wanted == controller.name or (len(wanted) >= 8 and controller.hash.startswith(wanted.lower())):
+        if (wanted == DEFAULT and controller.is_default) or _begins(controller.hash, wanted):
             return controller.path
-    raise UnknownNameError("controller", wanted, [controller.name for controller in there])
+    raise UnknownNameError("controller", wanted, [DEFAULT, *(controller.name for controller in there)])
 
 
-def install(path: Path, folder: Path = DEFAULT_WEIGHTS.parent) -> Path:
+def load(wanted: str = DEFAULT) -> Weights:
+    """Read the weights of a controller; arguments and errors as ``find`` and ``Weights``."""
+    return Weights(find(wanted))
+
+
+def recorded(digest: str | None) -> str | None:
+    """Return the name of the installed controller with a hash that was recorded; None where it is not installed."""
+    return next((controller.name for controller in installed() if controller.hash == digest), None)
+
+
+def install(path: Path, folder: Path = WEIGHTS_FOLDER) -> Path:
     """Copy a weights file into the package under its hash; returns where to.
 
     Raises:
         SceneError: As ``Weights``: a file that is damaged is not installed.
     """
-    name = Weights(path).hash[:HASH_DIGITS]
-    there = folder / f"{name}.npz"
-    there.write_bytes(path.read_bytes())
+    there = folder / f"{Weights(path).hash[:HASH_DIGITS]}.npz"
+    partial = there.with_suffix(".partial")
+    partial.write_bytes(path.read_bytes())
+    partial.replace(there)
     return there
+
+
+def make_default(name: str, folder: Path = WEIGHTS_FOLDER) -> None:
+    """Use an installed controller where none is asked for, from the next process on.
+
+    Raises:
+        UnknownNameError: No controller is installed that is called so.
+    """
+    partial = folder / f"{DEFAULT_NAME.stem}.partial"
+    partial.write_text(find(name, folder).stem + "\n")
+    partial.replace(folder / DEFAULT_NAME.name)
+
+
+def _begins(digest: str, wanted: str) -> bool:
+    return len(wanted) >= 8 and digest.startswith(wanted.lower())

@@ -12,6 +12,7 @@ from typing import Any
 
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import FIRST, Physics, named
 
 NUM_TURN = 12
 
@@ -94,25 +95,32 @@ class Settings:
     Attributes:
         gait: The walking reference.
         slew: Fastest change of the command's first seven numbers, per second.
+        gain: What the policy is told of each of these, as a multiple of how far it is from rest: a policy that
+            answers to a velocity with nine tenths of it is told more.
         trim: The slow correction.
         stiffness: Position gains of the servos of ``g1.BODY_JOINTS`` [Nm/rad].
         damping: Their velocity gains [Nms/rad].
+        physics: Of the robot that it was trained for and is simulated with.
     """
 
     gait: Gait = Gait()
     slew: tuple[float, ...] = (1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5)
+    gain: tuple[float, ...] = (1.0,) * 7
     trim: Trim = Trim()
     stiffness: tuple[float, ...] = tuple(g1.motor(joint).stiffness for joint in g1.BODY_JOINTS)
     damping: tuple[float, ...] = tuple(g1.motor(joint).damping for joint in g1.BODY_JOINTS)
+    physics: Physics = FIRST
 
     def metadata(self) -> dict[str, Any]:
         """Return the settings as JSON holds them: what ``read`` takes."""
         return {
             "gait": dict(vars(self.gait)),
             "slew": list(self.slew),
+            "gain": list(self.gain),
             "trim": dict(vars(self.trim)),
             "stiffness": dict(zip(g1.BODY_JOINTS, self.stiffness, strict=True)),
             "damping": dict(zip(g1.BODY_JOINTS, self.damping, strict=True)),
+            "physics": self.physics.name,
         }
 
     @classmethod
@@ -121,19 +129,22 @@ class Settings:
 
         Raises:
             SceneError: A setting that is not known here, or numbers that are missing or too many.
+            UnknownNameError: A physics that is not known here.
         """
         found = cls(
             gait=_read(Gait, metadata.get("gait", {}), "gait"),
             slew=tuple(metadata.get("slew", cls.slew)),
+            gain=tuple(metadata.get("gain", cls.gain)),
             trim=_read(Trim, metadata.get("trim", {}), "trim"),
             stiffness=_of_joints(metadata.get("stiffness", {}), cls.stiffness),
             damping=_of_joints(metadata.get("damping", {}), cls.damping),
+            physics=named(metadata.get("physics", cls.physics.name)),
         )
-        numbers = (*found.slew, *found.trim.limits, *found.stiffness, *found.damping)
-        sizes = len(found.slew), len(found.trim.limits)
-        expected = len(cls.slew), len(cls.trim.limits)
+        numbers = (*found.slew, *found.gain, *found.trim.limits, *found.stiffness, *found.damping)
+        sizes = len(found.slew), len(found.gain), len(found.trim.limits)
+        expected = len(cls.slew), len(cls.gain), len(cls.trim.limits)
         if sizes != expected or not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
-            got = f"controller weights with a slew and a trim of {sizes} numbers, or some that are none"
+            got = f"controller weights with a slew, a gain and a trim of {sizes} numbers, or some that are none"
             raise SceneError(got, f"{expected}, finite", "export the weights again")
         return found
 

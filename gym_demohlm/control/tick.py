@@ -29,6 +29,7 @@ STATE_SIZE = _TRIM.stop
 """Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing, velocity from
 the odometry, arm targets, loads, trim."""
 
+_REST = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT, 0.0, 0.0, 0.0])  # of a slewed command
 _TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
 _CONSTANT = 0.01  # m/s, m, rad: a command that moves on by less than this in a step is taken for a constant one
 _WHILE_STANDING = np.array([False, True, True, True, True])  # when an entry is trimmed
@@ -75,7 +76,7 @@ class Situation:
         history: (N, HISTORY * FRAME_SIZE) frames, oldest first.
         last_action: (N, 15).
         slewed: (N, 7) command.
-        told: (N, 7) command with the trim: what policy and reference get.
+        told: (N, 7) command with gain and trim: what policy and reference get.
         clock: Of the gait.
         velocity: (N, 2) of the pelvis in its heading frame, from the odometry [m/s].
         arms: (N, 8) arm targets [rad].
@@ -134,13 +135,14 @@ class Tick:
 
     Args:
         pose: The reference that the policy corrects.
-        settings: Slew and trim; the gait is the reference's own.
+        settings: Slew, gain and trim; the gait is the reference's own.
     """
 
     def __init__(self, pose: reference.Reference, settings: Settings) -> None:
         self.reference, self.settings = pose, settings
         ranges = g1.joint_ranges(g1.read_mjcf())[:_LOWER]
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
+        self._further = np.array(settings.gain) - 1.0
 
     def start(self, sensors: Sensors, slewed: np.ndarray, clock: reference.Clock, arms: np.ndarray) -> np.ndarray:
         """Return the state (N, STATE_SIZE) of controllers that begin.
@@ -190,10 +192,10 @@ class Tick:
         constant = (np.abs(goal - current) < _CONSTANT).all(axis=1, keepdims=True)
         learns = constant & (clock.standing[:, None] == _WHILE_STANDING)
         correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns, self.settings.trim)
-        torso, torso_height = slewed[:, _TORSO], slewed[:, _TORSO.start]
+        told = slewed + self._further * (slewed - _REST)
+        torso, torso_height = told[:, _TORSO], slewed[:, _TORSO.start]
         trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
         correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
-        told = slewed.copy()
         told[:, _TRIMMED] += correction
         arm_velocity = np.clip((arms - before) / CONTROL_DT, -_LARGEST_ARM_SPEED, _LARGEST_ARM_SPEED)
         return Situation(

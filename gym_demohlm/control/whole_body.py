@@ -20,8 +20,12 @@ from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.tick import LAST_ACTION, SLEWED, STANDING, STATE_SIZE, Sensors, Tick
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import Physics
 
-DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "g1_whole_body.npz"
+WEIGHTS_FOLDER = Path(__file__).parent / "weights"
+DEFAULT_NAME = WEIGHTS_FOLDER / "default.txt"
+"""Names the default controller's file."""
+DEFAULT_WEIGHTS = WEIGHTS_FOLDER / f"{DEFAULT_NAME.read_text().strip()}.npz"
 WEIGHTS_FORMAT = 5
 _FORMATS = dict(zip((4, WEIGHTS_FORMAT), features.OBSERVATION_SIZES, strict=True))
 _TABLES = (len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 5), arm_load.TABLE_SHAPE
@@ -37,7 +41,7 @@ class Weights:
 
     Attributes:
         metadata: How it was trained and what it expects.
-        settings: Its gait, slew and trim.
+        settings: What it is besides its network.
         hash: SHA-256 of the file.
 
     Raises:
@@ -133,13 +137,18 @@ class WholeBodyController:
 
     @property
     def settings(self) -> Settings:
-        """Its slew and trim, and its gait: those of the weights, until assigned."""
+        """What it is besides its network: the settings of the weights, until assigned."""
         return self._tick.settings
 
     @settings.setter
     def settings(self, settings: Settings) -> None:
         self.reference.gait = settings.gait
-        self._tick.settings = settings
+        self._tick = Tick(self.reference, settings)
+
+    @property
+    def physics(self) -> Physics:
+        """Of the robot that it was trained for."""
+        return self._tick.settings.physics
 
     @property
     def last_action(self) -> np.ndarray:

@@ -28,7 +28,7 @@ class DemoHLMEnv(gym.Env):
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         render_mode: None, "rgb_array" (the overview camera) or "human" (a window).
         region: Initial region from which ``reset`` draws.
-        controller: For one world; the shipped whole-body controller by default.
+        controller: For one world, or its name, path or hash (`demohlm controllers`); the default one by default.
         perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
         variation: How the world differs from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
@@ -48,7 +48,7 @@ class DemoHLMEnv(gym.Env):
         obs_type: str = "state",
         render_mode: str | None = None,
         region: str = DEFAULT_REGION,
-        controller: Controller | None = None,
+        controller: Controller | str | None = None,
         perception: str = EXACT,
         variation: str = "none",
     ) -> None:

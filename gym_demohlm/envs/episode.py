@@ -57,7 +57,7 @@ class RunningEpisodes:
         num_worlds: N.
         num_threads: Threads of the physics.
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
-        controller: The shipped whole-body controller by default.
+        controller: For these worlds, or its name, path or hash; the default one by default.
         perception: How objects are seen: "exact", or "rgbd" for a tracker of a simulated depth camera's images.
         variation: How worlds differ: "none", "real" or "hard" (docs/variation.md).
 
@@ -71,7 +71,7 @@ class RunningEpisodes:
         num_worlds: int = 1,
         num_threads: int = 1,
         obs_type: str = "state",
-        controller: Controller | None = None,
+        controller: Controller | str | None = None,
         perception: str = EXACT,
         variation: str = "none",
     ) -> None:

@@ -34,7 +34,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         num_threads: Threads of the physics.
         autoreset_mode: SAME_STEP begins the next episode in the step that ended one; DISABLED leaves a world whose
             episode ended as it is, at no cost, until ``reset``.
-        controller: For N worlds; the shipped whole-body controller by default.
+        controller: For N worlds, or its name, path or hash (`demohlm controllers`); the default one by default.
         perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
         variation: How worlds differ from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
@@ -54,7 +54,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         region: str = DEFAULT_REGION,
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
-        controller: Controller | None = None,
+        controller: Controller | str | None = None,
         perception: str = EXACT,
         variation: str = "none",
     ) -> None:

@@ -1,9 +1,12 @@
 """Versions of the robot's physics: what changes the bits of every simulation, controller and data set.
 
-``PHYSICS`` is the one switch. Everything recorded under a version stays valid under that version only.
+A controller's file names the physics that it was trained in, and a simulation with that controller has it. So
+everything recorded under a version can still be simulated under it.
 """
 
 from dataclasses import dataclass
+
+from gym_demohlm.errors import UnknownNameError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,4 +42,15 @@ SECOND = Physics(
 )
 VERSIONS = {version.name: version for version in (FIRST, SECOND)}
 PHYSICS = FIRST
-"""The physics of every model that is built without another one being asked for."""
+"""The physics of scenes without a controller; that of the default controller."""
+
+
+def named(name: str) -> Physics:
+    """Return a version.
+
+    Raises:
+        UnknownNameError: There is none of that name.
+    """
+    if name not in VERSIONS:
+        raise UnknownNameError("physics", name, VERSIONS)
+    return VERSIONS[name]

@@ -372,9 +372,9 @@ class Scene:
             raise UnknownNameError("body", name, names) from None
 
 
-def build_scene(task: Task, variation: Variation = NONE) -> Scene:
-    """Build and compile the scene of a task, whose worlds may differ as a variation says."""
-    return Scene(task, variation=variation)
+def build_scene(task: Task, physics: Physics | None = None, variation: Variation = NONE) -> Scene:
+    """Build and compile the scene of a task; arguments as ``Scene``."""
+    return Scene(task, physics, variation)
 
 
 def _without_noslip(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -16,7 +16,7 @@ import numpy as np
 from mujoco import rollout
 
 from gym_demohlm import poses
-from gym_demohlm.control import command
+from gym_demohlm.control import command, controllers
 from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.whole_body import WholeBodyController
@@ -116,7 +116,8 @@ class Simulation(Worlds):
         task: The task.
         num_worlds: N.
         num_threads: Threads that step the physics; one does without a pool.
-        controller: For N worlds; the shipped whole-body controller by default.
+        controller: Of the robots: for N worlds, or the name, path or hash of one (``control.controllers``). A
+            controller of ours brings the physics that it was trained in.
         pool: What steps the physics, for as many threads; ``make_pool(num_threads)`` by default.
         variation: What may differ from world to world; a world's conditions are in its initial state.
 
@@ -126,7 +127,8 @@ class Simulation(Worlds):
             the default, for where it is. A reset turns the neck to where it is.
 
     Raises:
-        SceneError: ``num_worlds`` or ``num_threads`` is less than 1.
+        SceneError: ``num_worlds`` or ``num_threads`` is less than 1, or the controller's file is damaged.
+        UnknownNameError: No controller is called so.
     """
 
     def __init__(
@@ -134,18 +136,20 @@ class Simulation(Worlds):
         task: Task,
         num_worlds: int = 1,
         num_threads: int = 1,
-        controller: Controller | None = None,
+        controller: Controller | str | None = None,
         pool: Pool | None = None,
         variation: Variation = NONE,
     ) -> None:
         if num_worlds < 1 or num_threads < 1:
             raise SceneError(f"num_worlds={num_worlds}, num_threads={num_threads}", "at least 1 each", "raise them")
-        super().__init__(task, num_worlds, variation)
+        if controller is None or isinstance(controller, str):
+            controller = WholeBodyController(num_worlds, controllers.find(controller or controllers.DEFAULT))
+        ours = controller.settings if isinstance(controller, WholeBodyController) else None
+        super().__init__(task, num_worlds, ours.physics if ours else None, variation)
         model = self.model
-        self._controller: Controller = controller or WholeBodyController(num_worlds)
-        if isinstance(self._controller, WholeBodyController):
-            settings = self._controller.settings
-            self.scene.set_gains(settings.stiffness, settings.damping)
+        self._controller: Controller = controller
+        if ours:
+            self.scene.set_gains(ours.stiffness, ours.damping)
         self._gaze = GazeController()
         threads = min(num_threads, num_worlds)
         self._pool = make_pool(threads) if pool is None else pool

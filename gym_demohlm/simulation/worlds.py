@@ -14,6 +14,7 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.robot.neck import NECK_JOINTS
+from gym_demohlm.robot.physics import Physics
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation.judge import FALLEN_HEIGHT, FALLEN_TILT
 from gym_demohlm.task import Task
@@ -29,6 +30,7 @@ class Worlds:
     Args:
         task: The task.
         num_worlds: N.
+        physics: Of the robots; that of scenes without a controller by default.
         variation: What may differ from world to world.
 
     Attributes:
@@ -38,9 +40,11 @@ class Worlds:
         num_worlds: N.
     """
 
-    def __init__(self, task: Task, num_worlds: int, variation: Variation = NONE) -> None:
+    def __init__(
+        self, task: Task, num_worlds: int, physics: Physics | None = None, variation: Variation = NONE
+    ) -> None:
         self.task = task
-        self.scene = build_scene(task, variation)
+        self.scene = build_scene(task, physics, variation)
         self._conditions = [Conditions()] * num_worlds
         self.model = model = self.scene.model
         self.num_worlds = num_worlds

@@ -23,7 +23,14 @@ from lerobot_demohlm.generation.request import BLOCK_SIZE
 from lerobot_demohlm.generation.stages import Settings
 
 
-def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration: Path | None = None) -> dict[str, Any]:
+def measure(
+    task: Task,
+    region: str,
+    seed: int,
+    num_attempts: int,
+    demonstration: Path | None = None,
+    controller: str | None = None,
+) -> dict[str, Any]:
     """Make attempts in blocks, as a worker does, and return what they took.
 
     Args:
@@ -32,9 +39,10 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, demonstration
         seed: Of the run.
         num_attempts: How many, 1 or more.
         demonstration: Directory of the demonstration; the packaged one by default.
+        controller: Name, path or hash of the whole-body controller; the default one by default.
     """
     watch, pool = Stopwatch(), make_pool(1)
-    sim = Simulation(task, BLOCK_SIZE, pool=pool)
+    sim = Simulation(task, BLOCK_SIZE, controller=controller, pool=pool)
     plain = Settings(variation=PLAIN)  # as in all earlier measurements
     attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, settings=plain, sim=sim)
     watch.watch(pool, "rollout", "mj_step")

@@ -38,13 +38,14 @@ class _Recorder:
         self.pool.close()
 
 
-def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
+def measure(task: Task, num_worlds: int, num_threads: int, controller: str | None = None) -> dict[str, Any]:
     """Return steps a second of both and their ratio.
 
     Args:
         task: The task.
         num_worlds: Worlds stepped together, all alike.
         num_threads: Of the physics; with one, CPU time is measured, which other processes do not change.
+        controller: Name, path or hash of the whole-body controller; the default one by default.
 
     Raises:
         SceneError: The two ways end in different states.
@@ -52,7 +53,7 @@ def measure(task: Task, num_worlds: int, num_threads: int) -> dict[str, Any]:
     clock = time.process_time if num_threads == 1 else time.perf_counter
     demonstration = demonstrations.load(None, task)
     pool = _Recorder(make_pool(min(num_threads, num_worlds)))
-    sim = Simulation(task, num_worlds, num_threads, pool=pool)
+    sim = Simulation(task, num_worlds, num_threads, controller, pool)
     sim.restore({name: np.repeat(values, num_worlds, axis=0) for name, values in demonstration.start.items()})
     commands = np.repeat(demonstration.action[:, None].astype(np.float64), num_worlds, axis=1)
     seconds = {"simulation": 0.0, "mj_step": 0.0}

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.errors import DemoHLMError
@@ -49,6 +50,7 @@ class Settings:
         seed: Of the starts and the commands.
         time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
         variation: How worlds differ; the demonstration itself is replayed in the plain world.
+        controller: Name, path or hash of the whole-body controller.
     """
 
     num_resets: int = 102
@@ -57,6 +59,7 @@ class Settings:
     seed: int = 0
     time_limit_s: float | None = None
     variation: str = "none"
+    controller: str = DEFAULT
 
     def __post_init__(self) -> None:
         for name in ("num_resets", "num_still", "num_episodes"):
@@ -102,14 +105,15 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
     settings = settings or Settings()
     checks = [*_check_resets(task, settings), *_check_episodes(task, settings)]
     if demonstration is not None:
-        checks += [*_check_demonstration(task, demonstration), *_check_replays(task, demonstration, settings)]
+        checks += [*_check_demonstration(task, demonstration, settings), *_check_replays(task, demonstration, settings)]
     return checks
 
 
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = Simulation(task, settings.num_resets, variation=get_variation(settings.variation))
+    variation = get_variation(settings.variation)
+    sim = Simulation(task, settings.num_resets, controller=settings.controller, variation=variation)
     watch = OverlapWatch(sim)
     sim.reset([sim.vary(task.sample(region, generators[region])) for region in regions])
     watch.look(np.arange(settings.num_resets))
@@ -132,7 +136,8 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
     generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
     regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
-    sim = Simulation(task, num_worlds, variation=get_variation(settings.variation))
+    variation = get_variation(settings.variation)
+    sim = Simulation(task, num_worlds, controller=settings.controller, variation=variation)
     watch = OverlapWatch(sim)
     commands = np.tile(command.rest(), (num_worlds, 1))
     success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
@@ -181,8 +186,8 @@ def _check_observations(task: Task, seen: np.ndarray) -> list[Check]:
     ]
 
 
-def _check_demonstration(task: Task, demonstration: Demonstration) -> list[Check]:
-    sim = Simulation(task)
+def _check_demonstration(task: Task, demonstration: Demonstration, settings: Settings) -> list[Check]:
+    sim = Simulation(task, controller=settings.controller)
     watch = OverlapWatch(sim)
     sim.restore(demonstration.start)
     watch.look(np.arange(1))
@@ -230,8 +235,8 @@ def _check_replays(task: Task, demonstration: Demonstration, settings: Settings)
     from lerobot_demohlm.generation.attempt import Attempts
 
     count, region = settings.num_episodes, list(task.regions)[-1]
-    worlds = min(count, REPLAYS_TOGETHER)
-    sim, broken = Simulation(task, worlds, variation=get_variation(settings.variation)), 0
+    worlds, variation = min(count, REPLAYS_TOGETHER), get_variation(settings.variation)
+    sim, broken = Simulation(task, worlds, controller=settings.controller, variation=variation), 0
     watch = OverlapWatch(sim)
     plain = stages.Settings(variation=replace(PLAIN, variation=settings.variation))
     attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)

@@ -17,19 +17,19 @@ import importlib
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
+from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
@@ -100,16 +100,18 @@ class Verification:
         return said
 
 
-def mismatches(facts: dict[str, Any], task: Task) -> tuple[str, ...]:
+def mismatches(facts: dict[str, Any], task: Task, controller: str | None = None) -> tuple[str, ...]:
     """Return what differs between now and when a dataset was generated, a line each.
 
     Args:
         facts: ``meta/demohlm.json``.
         task: Its task.
+        controller: That it is simulated with; by default the one that it was generated with, if it is installed.
     """
+    weights = controllers.load(controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT)
     now = {
-        "controller": provenance.controller_hash(),
-        "model": provenance.model_hash(build_scene(task).model),
+        "controller": weights.hash,
+        "model": provenance.model_hash(build_scene(task, weights.settings.physics).model),
         "code": provenance.code_hash(),
         **installed_versions(),
     }
@@ -146,8 +148,11 @@ def verify(
     on_mismatches: Callable[[tuple[str, ...]], None] | None = None,
     show_progress: bool = False,
     demonstration: Path | None = None,
+    controller: str | None = None,
 ) -> Verification:
     """Simulate episodes again and compare.
+
+    The robots have the controller that the episodes were generated with, where it is installed, and else the default.
 
     Args:
         root: Of a dataset of ``demohlm generate``, or of its failed attempts.
@@ -158,8 +163,10 @@ def verify(
         show_progress: Draw a bar on stderr.
         demonstration: Directory of the demonstration that edited episodes are generated from again; the packaged one
             by default.
+        controller: Name, path or hash of another controller for all episodes.
 
     Raises:
+        UnknownNameError: No such controller.
         DatasetError: The dataset is missing, damaged, of another task or version, or has no such episode.
     """
     facts, lengths = sources(root), reader.lengths(root)
@@ -171,14 +178,21 @@ def verify(
     if unknown or num_workers < 1:
         got = f"episode {unknown[0]}" if unknown else f"num_workers={num_workers}"
         raise DatasetError(got, f"episodes from 0 to {len(lengths) - 1} and 1 worker or more", "change the request")
-    different = tuple(dict.fromkeys(line for run in facts for line in mismatches(run, task)))
+    different = tuple(dict.fromkeys(line for run in facts for line in mismatches(run, task, controller)))
     other_versions = tuple(dict.fromkeys(line for run in facts for line in provenance.bit_differences(run["versions"])))
     if on_mismatches is not None:
         on_mismatches(different)
     batches = [tuple(chosen[first : first + NUM_WORLDS]) for first in range(0, len(chosen), NUM_WORLDS)]
     differences: list[Difference] = []
-    request = _Request(root=root, task=task.name, module=task.module, demonstration=demonstration)
-    request = replace(request, bounded=bool(other_versions), variation=_variation(facts))
+    request = _Request(
+        root=root,
+        task=task.name,
+        module=task.module,
+        demonstration=demonstration,
+        controller=controller,
+        bounded=bool(other_versions),
+        variation=_variation(facts),
+    )
     with tqdm(total=len(chosen), desc="verify", unit="episode", disable=not show_progress) as bar:
         for batch, found in zip(batches, _run(request, task, batches, num_workers), strict=True):
             differences += found
@@ -202,6 +216,7 @@ class _Request:
         task: Name of its task.
         module: Which registers the task.
         demonstration: Directory of the demonstration; None for the packaged one.
+        controller: Name, path or hash of a controller; None for the one that each episode was generated with.
         bounded: Whether to go on after a difference and measure how far the episode deviates.
         variation: How its worlds differ.
     """
@@ -210,6 +225,7 @@ class _Request:
     task: str
     module: str
     demonstration: Path | None
+    controller: str | None = None
     bounded: bool = False
     variation: str = "none"
 
@@ -224,42 +240,59 @@ class _Bench:
     """
 
     def __init__(self, request: _Request, task: Task, num_worlds: int) -> None:
-        self._request, self._task = request, task
-        self._sim = Simulation(task, num_worlds=num_worlds, variation=get_variation(request.variation))
+        self._request, self._task, self._num_worlds = request, task, num_worlds
+        self._sims: dict[str, Simulation] = {}  # by controller
 
     def check(self, batch: Sequence[int]) -> list[Difference]:
         """Check the episodes of one batch; returns the first difference of each that has one, by episode."""
-        entries, bounded = reader.read(self._request.root, batch), self._request.bounded
-        whole = [entry for entry in entries if entry.fingerprints is not None]
-        found = compare(self._sim, whole, bounded) if whole else []
-        found += self._generate([entry for entry in entries if entry.fingerprints is None])
+        root, bounded = self._request.root, self._request.bounded
+        entries, found = reader.read(root, batch), []
+        edited = [entry for entry in entries if entry.fingerprints is None]
+        for facts, whole in self._by_run([entry for entry in entries if entry.fingerprints is not None]):
+            found += compare(self._sim(facts), whole, bounded)
+        for facts, again in self._by_run(edited):
+            found += self._generate(facts, again)
         return sorted((each for each in found if each is not None), key=lambda each: each.episode)
 
-    def _generate(self, entries: Sequence[StoredEpisode]) -> list[Difference | None]:
-        """Generate edited episodes again, the attempts of one run side by side."""
-        found: list[Difference | None] = []
-        origins = origin.read_origins(self._request.root, [entry.episode for entry in entries]) if entries else {}
-        for facts in origin.runs(origins):
-            chosen = [entry for entry in entries if origins[entry.episode].facts == facts]
-            source = demonstrations.load(self._request.demonstration, self._task)
-            if source.content_hash != facts["demonstration_hash"]:
-                raise DatasetError(
-                    f"the demonstration {source.content_hash[:12]}",
-                    f"{facts['demonstration_hash'][:12]}, which the run was made from",
-                    "name its directory with --demonstration",
-                )
-            settings = Settings(variation=DataVariation.read(facts))
-            attempts = Attempts(self._task, source, facts["region"], facts["seed"], settings=settings, sim=self._sim)
-            again = attempts.run([entry.attempt for entry in chosen])
-            found += [
-                compare_again(self._task, entry, made, self._request.bounded)
-                for entry, made in zip(chosen, again, strict=True)
-            ]
-        return found
+    def _by_run(self, entries: Sequence[StoredEpisode]) -> list[tuple[dict[str, Any], list[StoredEpisode]]]:
+        """Return the facts of each run that episodes come from, and these episodes."""
+        root = self._request.root
+        if not entries:
+            return []
+        if not origin.is_edited(root):
+            return [(read_facts(root), list(entries))]
+        origins = origin.read_origins(root, [entry.episode for entry in entries])
+        runs = origin.runs(origins)
+        return [(facts, [entry for entry in entries if origins[entry.episode].facts == facts]) for facts in runs]
+
+    def _sim(self, facts: dict[str, Any]) -> Simulation:
+        name = self._request.controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT
+        if name not in self._sims:
+            variation = get_variation(self._request.variation)
+            self._sims[name] = Simulation(self._task, self._num_worlds, controller=name, variation=variation)
+        return self._sims[name]
+
+    def _generate(self, facts: dict[str, Any], entries: Sequence[StoredEpisode]) -> list[Difference | None]:
+        """Generate edited episodes of one run again, side by side."""
+        source = demonstrations.load(self._request.demonstration, self._task)
+        if source.content_hash != facts["demonstration_hash"]:
+            raise DatasetError(
+                f"the demonstration {source.content_hash[:12]}",
+                f"{facts['demonstration_hash'][:12]}, which the run was made from",
+                "name its directory with --demonstration",
+            )
+        settings, sim = Settings(variation=DataVariation.read(facts)), self._sim(facts)
+        attempts = Attempts(self._task, source, facts["region"], facts["seed"], settings=settings, sim=sim)
+        again = attempts.run([entry.attempt for entry in entries])
+        return [
+            compare_again(self._task, entry, made, self._request.bounded)
+            for entry, made in zip(entries, again, strict=True)
+        ]
 
     def close(self) -> None:
-        """Release the simulation."""
-        self._sim.close()
+        """Release the simulations."""
+        for sim in self._sims.values():
+            sim.close()
 
 
 def _run(

@@ -28,6 +28,7 @@ class Options:
         num_worlds: Rollouts at a time in a process.
         num_threads: Threads of the physics in a process.
         num_workers: Processes.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
         output: File for the JSON lines, one a rollout; where it exists, the rollouts in it are kept.
         device: Where the policy runs, such as "cuda".
     """
@@ -41,6 +42,7 @@ class Options:
     num_worlds: int = NUM_WORLDS
     num_threads: int = 1
     num_workers: int = 1
+    controller: str = "default"
     output: Annotated[Path | None, default("none")] = None
     device: str = "cpu"
 
@@ -49,7 +51,7 @@ def run(options: Options) -> None:
     """Roll a policy out; the last line on stdout is the summary as JSON.
 
     Raises:
-        UnknownNameError: No such task or region.
+        UnknownNameError: No such task, region or controller.
         PolicyError: The policy does not fit, or a count is not positive.
         DatasetError: The output holds rollouts of something else.
     """
@@ -68,6 +70,7 @@ def run(options: Options) -> None:
         num_worlds=options.num_worlds,
         num_threads=options.num_threads,
         num_workers=options.num_workers,
+        controller=options.controller,
     )
     torch.set_num_threads(1)
     loaded = load_policy(options.policy, options.task, options.device)

@@ -19,6 +19,7 @@ class Options:
         scale: Metres that a palm moves for a metre of the person's hand.
         operator: Who records at the page; written into the demonstration.
         trial: Attempts generated from a recording at the page before it is saved; 0 for none.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
         root: Directory to write; must not exist.
     """
 
@@ -29,6 +30,7 @@ class Options:
     scale: float = 1.0
     operator: str = "person"
     trial: int = 20
+    controller: str = "default"
     root: Path
 
 
@@ -43,14 +45,19 @@ def run(options: Options) -> None:
         from lerobot_demohlm.teleop.session import SessionSettings
         from lerobot_demohlm.teleop.web.record import WebSettings, record_in_browser, trial_settings
 
-        session = SessionSettings(scale=options.scale, operator=options.operator, trial=trial_settings(options.trial))
+        session = SessionSettings(
+            scale=options.scale,
+            operator=options.operator,
+            trial=trial_settings(options.trial),
+            controller=options.controller,
+        )
         settings = WebSettings(host=options.host, port=options.port, session=session)
         ticks, name = record_in_browser(task, options.root, settings), options.operator
     else:
         from lerobot_demohlm.teleop.record import record, script_of
 
         script = script_of(task)
-        demonstration = record(task, script.make_operator(), script.start)
+        demonstration = record(task, script.make_operator(), script.start, controller=options.controller)
         demonstration.save(options.root, task)
         ticks, name = len(demonstration), str(demonstration.metadata["operator"])
     print(f"{options.root}: {ticks} ticks by {name}")

@@ -27,6 +27,7 @@ class Options:
         warm_start: Exported weights that the actor goes on from. The critic begins afresh.
         warm_up: Iterations in which that critic learns alone.
         gait: JSON file with settings of the walking reference.
+        physics: Of the robot: the first version, or the second with self-collision, dry friction and peak torques.
         reward: Other weights of terms of the reward, as NAME=WEIGHT.
         without: Leave one part of the training out, to see what it is worth.
     """
@@ -43,6 +44,7 @@ class Options:
     warm_start: Annotated[Path | None, default("nothing")] = None
     warm_up: int = TrainConfig.warm_up
     gait: Annotated[Path | None, default("the first controller's")] = None
+    physics: Literal["first", "second"] = "first"
     reward: Annotated[tuple[str, ...], default("the weights of rewards.py")] = ()
     without: Annotated[Literal["symmetry", "reference", "curriculum"] | None, default("nothing")] = None
 
@@ -50,6 +52,7 @@ class Options:
 def run(options: Options) -> None:
     """Train the controller."""
     from gym_demohlm.control.settings import read_gait
+    from gym_demohlm.robot.physics import named
     from gym_demohlm.wbc.training import rewards
     from gym_demohlm.wbc.training.train import POLISHING_NOISE, train
 
@@ -60,6 +63,7 @@ def run(options: Options) -> None:
             config.mdp,
             use_reference=options.without != "reference",
             gait=read_gait(options.gait) if options.gait else config.mdp.gait,
+            physics=named(options.physics),
             reward_table=rewards.with_weights(dict(rewards.parse(text) for text in options.reward)),
         ),
         num_processes=options.num_processes or config.num_processes,

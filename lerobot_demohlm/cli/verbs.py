@@ -266,6 +266,18 @@ VERBS = (
         help="train the whole-body controller by reinforcement learning",
         example="demohlm train-controller --hours 2",
     ),
+    Verb(
+        name="controllers",
+        group="training",
+        help="list the installed whole-body controllers with their physics and measured numbers",
+        example="demohlm controllers",
+    ),
+    Verb(
+        name="adopt-controller",
+        group="training",
+        help="check a trained controller in every way, and make it the default one if it is worse in nothing",
+        example="demohlm adopt-controller runs/controller/calibrated.npz",
+    ),
 )
 
 

@@ -21,6 +21,7 @@ class Options:
         seed: Seed of that draw.
         num_workers: Processes.
         demonstration: Directory of the demonstration, for datasets that LeRobot's tools have edited.
+        controller: Name, path or hash of the controller to simulate with.
     """
 
     root: Path
@@ -30,6 +31,7 @@ class Options:
     seed: int = 0
     num_workers: int = 1
     demonstration: Annotated[Path | None, default("the packaged one")] = None
+    controller: Annotated[str | None, default("the one that the dataset names")] = None
 
 
 def run(options: Options) -> int:
@@ -50,6 +52,7 @@ def run(options: Options) -> int:
         on_mismatches=_say,
         show_progress=True,
         demonstration=options.demonstration,
+        controller=options.controller,
     )
     print("\n".join(outcome.lines()))
     content = asdict(outcome) | {"identical": outcome.identical, "episodes_that_differ": len(outcome.differences)}

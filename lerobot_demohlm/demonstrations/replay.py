@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gym_demohlm.control import controllers
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -75,16 +76,24 @@ class Replay:
         return [*said, f"{text}; {verdict} {bounds}"]
 
 
-def replay(demonstration: Demonstration, frame: Callable[[Simulation], None] | None = None) -> Replay:
+def replay(
+    demonstration: Demonstration,
+    frame: Callable[[Simulation], None] | None = None,
+    controller: str | None = None,
+) -> Replay:
     """Send the recorded commands to the recorded start and compare, bit for bit.
+
+    The robot has the controller that it was recorded with, where that is installed, and else the default one.
 
     Args:
         demonstration: The recording.
         frame: Called with the simulation before every command, for pictures.
+        controller: Name, path or hash of another controller.
     """
     task = get_task(demonstration.task)
-    sim = Simulation(task)
-    remarks = tuple(_changed_hashes(demonstration, sim))
+    used = controller or controllers.recorded(demonstration.metadata.get("controller_hash")) or controllers.DEFAULT
+    sim = Simulation(task, controller=used)
+    remarks = tuple(_changed_hashes(demonstration, sim, used))
     sim.restore(demonstration.start)
     first, largest = None, 0.0
     for tick in range(len(demonstration)):
@@ -112,8 +121,8 @@ def replay(demonstration: Demonstration, frame: Callable[[Simulation], None] | N
     )
 
 
-def _changed_hashes(demonstration: Demonstration, sim: Simulation) -> Iterator[str]:
-    now = {"controller_hash": provenance.controller_hash(), "model_hash": provenance.model_hash(sim.model)}
+def _changed_hashes(demonstration: Demonstration, sim: Simulation, controller: str) -> Iterator[str]:
+    now = {"controller_hash": provenance.controller_hash(controller), "model_hash": provenance.model_hash(sim.model)}
     for key, value in now.items():
         if demonstration.metadata.get(key) != value:
             yield f"{key.replace('_', ' ')} {str(demonstration.metadata.get(key))[:12]} recorded, {value[:12]} now"

@@ -12,6 +12,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 import gym_demohlm  # noqa: F401  registers the environments
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT, find
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import OBSERVATION_TYPES
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
@@ -37,6 +38,8 @@ class DemoHLMEnvConfig(EnvConfig):
     """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
     variation: str = "none"
     """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
+    controller: str = DEFAULT
+    """Whole-body controller: its name, path or hash, as `demohlm controllers` lists them."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -48,6 +51,7 @@ class DemoHLMEnvConfig(EnvConfig):
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
         get_variation(self.variation)
+        find(self.controller)
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -86,6 +90,7 @@ class DemoHLMEnvConfig(EnvConfig):
             "region": self.region,
             "perception": self.perception,
             "variation": self.variation,
+            "controller": self.controller,
         }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:

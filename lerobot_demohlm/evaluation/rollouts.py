@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
@@ -153,6 +154,7 @@ class Setting:
         num_workers: Processes; more than one for a policy on the CPU only.
         perception: How observation and gaze see objects: "exact" or "rgbd".
         variation: How worlds differ: "none", "real" or "hard".
+        controller: Name, path or hash of the whole-body controller.
     """
 
     task: str
@@ -162,6 +164,7 @@ class Setting:
     num_workers: int = 1
     perception: str = "exact"
     variation: str = "none"
+    controller: str = DEFAULT
 
     def __post_init__(self) -> None:
         """Check names and counts."""
@@ -251,6 +254,7 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         region=setting.region,
         perception=setting.perception,
         variation=setting.variation,
+        controller=setting.controller,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )

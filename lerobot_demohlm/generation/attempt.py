@@ -115,6 +115,7 @@ class Attempts:
         on_step: Called with the simulation at the start of attempts and after every step, for pictures.
         on_command: Called with an attempt and the command (23,) that it has chosen, before the step, for explanations.
         sim: The simulation that attempts run in, which ``close`` closes; a new one with ``num_worlds`` by default.
+        controller: Name, path or hash of the whole-body controller of a new one; the default one by default.
 
     Attributes:
         ik: Solver of the inverse kinematics, shared by all attempts; it keeps no state.
@@ -131,15 +132,15 @@ class Attempts:
         on_step: Callable[[Simulation], None] | None = None,
         on_command: Callable[[Attempt, np.ndarray], None] | None = None,
         sim: Simulation | None = None,
+        controller: str | None = None,
     ) -> None:
         self._on_step = on_step or (lambda _: None)
         self._on_command = on_command or (lambda _attempt, _command: None)
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration, task, task.is_scattered(region))
-        self._sim = sim or Simulation(
-            task, num_worlds=num_worlds, variation=get_variation(self.settings.variation.variation)
-        )
+        variation = get_variation(self.settings.variation.variation)
+        self._sim = sim or Simulation(task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
         self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)

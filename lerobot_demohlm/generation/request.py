@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
+from gym_demohlm.control.controllers import DEFAULT
 from lerobot_demohlm.datasets.variation import DataVariation
 
 BLOCK_SIZE = 32  # attempts a block: worlds that share the cost of a tick, and what a kill loses of each worker
@@ -28,6 +29,7 @@ class GenerationRequest:
         repo_id: Name of the dataset on the hub.
         keep_failures: Whether failed attempts become a second dataset, ``<root>-failures``.
         block_size: Attempts in a block: worlds that are stepped together, and what a kill loses of each worker.
+        controller: Name, path or hash of the whole-body controller; a dataset names it by its hash.
         variation: How attempts differ from plain ones. By default their commands carry noise, as policies learn best
             from such data.
         show_progress: Draw a progress bar on stderr.
@@ -46,6 +48,7 @@ class GenerationRequest:
     repo_id: str | None = None
     keep_failures: bool = False
     block_size: int = BLOCK_SIZE
+    controller: str = DEFAULT
     variation: DataVariation = field(default_factory=DataVariation)
     show_progress: bool = True
 

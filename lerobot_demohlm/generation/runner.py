@@ -16,6 +16,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
@@ -38,7 +39,8 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     """Generate a dataset; a killed call is resumed by the same call.
 
     Raises:
-        UnknownNameError: No such task or region.
+        UnknownNameError: No such task, region or controller.
+        SceneError: The controller's file is missing or damaged.
         DemonstrationError: The demonstration cannot be read, is of another task or version, or touches nothing.
         DatasetError: The root exists or cannot be written, a run with other arguments was begun there, another process
             is at work there, or no attempt succeeded.
@@ -54,14 +56,15 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         )
     demonstration = demonstrations.load(request.demonstration, task)
     segment(demonstration, task)  # fails now rather than in a worker
+    weights = controllers.load(request.controller)
     facts = GenerationFacts(
         task=task.name,
         task_text=task.description,
         region=request.region,
         seed=request.seed,
         demonstration_hash=demonstration.content_hash,
-        controller_hash=provenance.controller_hash(),
-        model_hash=provenance.model_hash(build_scene(task).model),
+        controller_hash=weights.hash,
+        model_hash=provenance.model_hash(build_scene(task, weights.settings.physics).model),
         num_episodes=request.num_episodes,
         num_attempts=request.num_attempts,
         block_size=request.block_size,
@@ -73,7 +76,12 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     try:
         began, found = time.monotonic(), run.num_successes
         if not run.target_met():
-            maker = BlockMaker(facts=facts, demonstration=demonstration, task_module=task.module)
+            maker = BlockMaker(
+                facts=facts,
+                demonstration=demonstration,
+                task_module=task.module,
+                controller=request.controller,
+            )
             with closing(_workers(maker, run, request)) as workers, _Progress(run, request.show_progress) as progress:
                 make_blocks(run, workers, progress.update)
         made, elapsed = run.num_successes - found, time.monotonic() - began
@@ -134,11 +142,13 @@ class BlockMaker:
         facts: The run's facts.
         demonstration: The run's demonstration.
         task_module: Name of the module that registers the task.
+        controller: Name, path or hash of the whole-body controller.
     """
 
     facts: GenerationFacts
     demonstration: Demonstration
     task_module: str
+    controller: str = controllers.DEFAULT
 
     def __call__(self, directory: Path, attempts: range) -> None:
         """Make attempts and write their block into a run's directory."""
@@ -156,8 +166,16 @@ class BlockMaker:
                 "install the same on all machines, and use one family of processors",
             )
         importlib.import_module(self.task_module)
-        facts, settings = self.facts, Settings(variation=self.facts.variation)
-        return Attempts(get_task(facts.task), self.demonstration, facts.region, facts.seed, facts.block_size, settings)
+        facts = self.facts
+        return Attempts(
+            get_task(facts.task),
+            self.demonstration,
+            facts.region,
+            facts.seed,
+            facts.block_size,
+            Settings(variation=facts.variation),
+            controller=self.controller,
+        )
 
 
 def _workers(maker: BlockMaker, run: GenerationRun, request: GenerationRequest) -> Workers:

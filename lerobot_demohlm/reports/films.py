@@ -115,7 +115,9 @@ class Shots(Sequence[np.ndarray]):
         return self._renderer.render(self._sim.mj_data(), self._camera)
 
 
-def generated_take(task: Task, region: str, seed: int, index: int, demonstration: Path | None = None) -> Take:
+def generated_take(
+    task: Task, region: str, seed: int, index: int, demonstration: Path | None = None, controller: str | None = None
+) -> Take:
     """Make one attempt, the one that ``demohlm generate`` makes with this seed by default.
 
     Args:
@@ -124,11 +126,14 @@ def generated_take(task: Task, region: str, seed: int, index: int, demonstration
         seed: Of the run.
         index: Of the attempt.
         demonstration: Directory of the demonstration; the packaged one by default.
+        controller: Name, path or hash of the whole-body controller; the default one by default.
     """
     task.region(region)
     snapshots: list[Snapshot] = []
     source = demonstrations.load(demonstration, task)
-    attempts = Attempts(task, source, region, seed, on_step=lambda sim: snapshots.append(sim.snapshot()))
+    attempts = Attempts(
+        task, source, region, seed, on_step=lambda sim: snapshots.append(sim.snapshot()), controller=controller
+    )
     (episode,) = attempts.run([index])
     attempts.close()
     origin = f"{region}, seed {seed}, attempt {index}"

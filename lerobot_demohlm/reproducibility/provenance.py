@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 
 import gym_demohlm
-from gym_demohlm.control.whole_body import Weights
+from gym_demohlm.control import controllers
 
 LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
 _FMA_FLAGS = ("fma", "avx2", "avx512f", "asimd", "sve")  # of /proc/cpuinfo; each implies fused multiply-add
 
 
-def controller_hash() -> str:
-    """Return the SHA-256 of the shipped controller's weights."""
-    return Weights().hash
+def controller_hash(controller: str = controllers.DEFAULT) -> str:
+    """Return the SHA-256 of a controller's weights, see ``control.controllers``."""
+    return controllers.load(controller).hash
 
 
 def model_hash(model: mujoco.MjModel) -> str:

@@ -66,6 +66,7 @@ def record(
     operator: Operator,
     start: InitialState | None = None,
     frame: Callable[[Simulation], None] | None = None,
+    controller: str | None = None,
 ) -> Demonstration:
     """Let an operator do a task and return the recording.
 
@@ -74,12 +75,14 @@ def record(
         operator: Gives head and palm poses.
         start: Where robot and objects are when the operator takes over; the task's default state if not given.
         frame: Called with the simulation before every command, for pictures.
+        controller: Name, path or hash of the whole-body controller; the default one by default.
 
     Raises:
+        UnknownNameError: No such controller.
         DemonstrationError: The task did not succeed, or no hand touched anything.
         OffCourseError: The robot did not get to the operator's place.
     """
-    sim = Simulation(task)
+    sim = Simulation(task, controller=controller)
     start = start or task.default_state()
     take_over(sim, start)
     recorder = Recorder(sim)

@@ -12,6 +12,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import IKSolution, WholeBodyIK
+from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation, StepResult
@@ -113,8 +114,9 @@ class Recorder:
     def __init__(self, sim: Simulation) -> None:
         self.sim = sim
         self.model_hash = provenance.model_hash(sim.model)
-        # Both read files: not while the world runs.
-        self._versions, self._controller_hash = installed_versions(), provenance.controller_hash()
+        self._versions = installed_versions()  # reads files: not while the world runs
+        controller = sim.controller
+        self._controller_hash = controller.weights.hash if isinstance(controller, WholeBodyController) else ""
         self.rows: list[Row] = []
         self.solution: IKSolution | None = None
         self._ik = WholeBodyIK(sim.model)

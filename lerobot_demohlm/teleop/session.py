@@ -22,6 +22,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.errors import DemoHLMError, DemonstrationError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
@@ -127,11 +128,13 @@ class SessionSettings:
         scale: Metres of a palm for a metre of a hand.
         operator: Who records; written into the demonstration.
         trial: What is tried before saving; None for nothing.
+        controller: Name, path or hash of the whole-body controller.
     """
 
     scale: float = 1.0
     operator: str = "person"
     trial: TrialSettings | None = field(default_factory=TrialSettings)
+    controller: str = DEFAULT
 
 
 class RecordingSession:
@@ -160,7 +163,7 @@ class RecordingSession:
             raise DemonstrationError(f"the root {root}, which exists", "a new path", "choose another --root")
         self.task, self.root, self.settings = task, Path(root), settings or SessionSettings()
         self.start = start or task.default_state()
-        self.sim = sim or Simulation(task)
+        self.sim = sim or Simulation(task, controller=self.settings.controller)
         self.recorder = Recorder(self.sim)
         self.clutch = Clutch(self.settings.scale)
         self.journal = Journal(self.root.with_name(f"{self.root.name}.unfinished"))
@@ -324,7 +327,12 @@ class RecordingSession:
         review = self._judge()
         self._review = review
         if review.demonstration is not None and not review.refusal and self.settings.trial is not None:
-            review.trial = Trial(task=self.task, demonstration=review.demonstration, settings=self.settings.trial)
+            review.trial = Trial(
+                task=self.task,
+                demonstration=review.demonstration,
+                settings=self.settings.trial,
+                controller=self.settings.controller,
+            )
             review.report = review.trial.report()
         self.message = review.refusal or "look at the trial, then save or discard"
 

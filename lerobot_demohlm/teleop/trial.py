@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from multiprocessing import connection
 from typing import Any
 
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
@@ -74,6 +75,7 @@ class _Job:
     task: str
     demonstration: Demonstration
     settings: TrialSettings
+    controller: str
 
 
 @dataclass(kw_only=True)
@@ -84,18 +86,24 @@ class Trial:
         task: Of the demonstration.
         demonstration: What they are generated from.
         settings: How many, and where.
+        controller: Name, path or hash of the whole-body controller.
     """
 
     task: Task
     demonstration: Demonstration
     settings: TrialSettings = field(default_factory=TrialSettings)
+    controller: str = DEFAULT
 
     def __post_init__(self) -> None:
         """Start the process."""
         self._outcomes: list[tuple[str, str]] = []
         self._error = ""
         job = _Job(
-            module=self.task.module, task=self.task.name, demonstration=self.demonstration, settings=self.settings
+            module=self.task.module,
+            task=self.task.name,
+            demonstration=self.demonstration,
+            settings=self.settings,
+            controller=self.controller,
         )
         context = multiprocessing.get_context("spawn")
         here, there = context.Pipe(duplex=False)
@@ -156,7 +164,8 @@ def _work(pipe: Any, packed: bytes) -> None:  # noqa: ANN401  either end of a pi
 
         settings = job.settings
         num_worlds = min(settings.together, settings.attempts)
-        attempts = Attempts(get_task(job.task), job.demonstration, settings.region, settings.seed, num_worlds)
+        task, region, seed = get_task(job.task), settings.region, settings.seed
+        attempts = Attempts(task, job.demonstration, region, seed, num_worlds, controller=job.controller)
         for first in range(0, settings.attempts, settings.together):
             indices = range(first, min(first + settings.together, settings.attempts))
             pipe.send(("outcomes", [(e.outcome, _short(e.outcome, e.reason)) for e in attempts.run(indices)]))

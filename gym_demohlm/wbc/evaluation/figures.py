@@ -19,7 +19,7 @@ from gym_demohlm import jsonl
 from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT, STEP_DT
-from gym_demohlm.wbc.evaluation.benchmark import push_robots, tracked
+from gym_demohlm.wbc.evaluation.episodes import push_robots, tracked
 from gym_demohlm.wbc.evaluation.intervals import wilson
 from gym_demohlm.wbc.evaluation.performance import SCRIPT, Recorder, Scene, Take, film, perform
 from gym_demohlm.wbc.evaluation.trial import trial_simulation

@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from gym_demohlm.wbc.evaluation.benchmark import measure, summarise
+from gym_demohlm.wbc.evaluation.episodes import measure, summarise
 from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 

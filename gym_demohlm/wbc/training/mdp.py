@@ -14,6 +14,7 @@ from gym_demohlm.control import attitude, features, reference
 from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
 from gym_demohlm.control.tick import STATE_SIZE, Sensors, Situation, Tick
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.timing import CONTROL_DT
 from gym_demohlm.wbc.training import rewards
 from gym_demohlm.wbc.training.commands import CommandSampler
@@ -71,6 +72,7 @@ class MdpConfig:
         largest_delay: Substeps until new targets reach the motors, at most (of 5 ms; drawn for every episode).
         use_reference: Whether actions correct the reference pose; without it they correct the pose of rest.
         gait: Of the reference.
+        physics: Of the robot.
         reward_table: Terms with their weights and scales.
         seed: Of everything random.
     """
@@ -87,13 +89,14 @@ class MdpConfig:
     largest_delay: int = 4
     use_reference: bool = True
     gait: Gait = reference.GAIT
+    physics: Physics = PHYSICS
     reward_table: Mapping[str, rewards.RewardTerm] = field(default_factory=lambda: rewards.REWARDS)
     seed: int = 1
 
     @property
     def settings(self) -> Settings:
         """What a controller trained so needs at run time."""
-        return Settings(gait=self.gait)
+        return Settings(gait=self.gait, physics=self.physics)
 
 
 class _Rest(reference.Reference):
@@ -128,7 +131,7 @@ class WholeBodyMdp:
         self.config = config
         self.rng = np.random.default_rng(config.seed)
         n = config.num_worlds
-        made = variants(config.num_variants, self.rng)
+        made = variants(config.num_variants, self.rng, config.physics)
         self.model = made[0].model
         self._facts = np.stack([variant.facts for variant in made])
         self._variant = np.arange(n) % len(made)

@@ -8,13 +8,16 @@ import numpy as np
 from gym_demohlm.control import features
 from gym_demohlm.control.arm_load import HAND
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import PHYSICS, Physics
 
 TRAINING_DT = 0.005  # s: four steps a control tick, where the deployment model takes ten
 SUBSTEPS = 4
 LARGEST_LOAD = 2.2  # kg, in each hand
 
 
-def training_model(rng: np.random.Generator | None, hand_loads: tuple[float, float] | None = None) -> mujoco.MjModel:
+def training_model(
+    rng: np.random.Generator | None, hand_loads: tuple[float, float] | None = None, physics: Physics = PHYSICS
+) -> mujoco.MjModel:
     """Compile a training model; with a generator, its friction, masses and gains are randomised.
 
     Ranges: friction 0.4-1.1, hand loads 0-2.2 kg, torso mass -0.8..+3 kg (mostly near nothing), torso centre of mass
@@ -25,8 +28,9 @@ def training_model(rng: np.random.Generator | None, hand_loads: tuple[float, flo
     Args:
         rng: Of what is random; without it the model is the nominal one.
         hand_loads: Left and right [kg], instead of random ones.
+        physics: Of the robot.
     """
-    spec = g1.load_body_spec()
+    spec = g1.load_body_spec(physics)
     spec.option.timestep = TRAINING_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.iterations, spec.option.ls_iterations = 5, 8
@@ -81,12 +85,12 @@ class Variant:
     facts: np.ndarray
 
 
-def variants(count: int, rng: np.random.Generator) -> list[Variant]:
+def variants(count: int, rng: np.random.Generator, physics: Physics = PHYSICS) -> list[Variant]:
     """Return randomised models whose pairs of hand loads are stratified."""
-    nominal = training_model(None).body("torso_link").mass[0]
+    nominal = training_model(None, physics=physics).body("torso_link").mass[0]
     made = []
     for left, right in stratified_loads(count, rng):
-        model = training_model(rng, (float(left), float(right)))
+        model = training_model(rng, (float(left), float(right)), physics)
         added = model.body("torso_link").mass[0] - nominal
         made.append(Variant(model=model, facts=np.array([left, right, model.geom("floor").friction[0], added])))
     return made

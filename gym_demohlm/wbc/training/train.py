@@ -237,10 +237,13 @@ def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None
 
 
 def _evaluate(output: Path, runner: OnPolicyRunner, progress: Progress) -> None:
-    """Run a short benchmark of the saved weights on the deployment model and log it."""
+    """Calibrate the saved weights on the deployment model, run a short benchmark of them and log it."""
     from gym_demohlm.wbc.evaluation.benchmark import quick  # the deployment model is not needed to learn
+    from gym_demohlm.wbc.evaluation.calibration import calibrate
 
-    found = {f"deployment/{name}": value for name, value in quick(output / "weights.npz").items()}
+    calibrated = output / "calibrated.npz"
+    calibrate(output / "weights.npz", calibrated)
+    found = {f"deployment/{name}": value for name, value in quick(calibrated).items()}
     line = {"steps": progress.steps, "seconds": round(progress.seconds, 1), **found}
     with (output / "evaluation.jsonl").open("a") as file:
         file.write(json.dumps(line) + "\n")

@@ -20,6 +20,7 @@ class Options:
         seed: Seed of the run.
         num_attempts: Attempts.
         demonstration: Directory of the demonstration.
+        controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
     """
 
     task: str = "LiftBox"
@@ -27,6 +28,7 @@ class Options:
     seed: int = 0
     num_attempts: int = 16
     demonstration: Annotated[Path | None, default("the packaged one")] = None
+    controller: str = "default"
 
 
 def run(options: Options) -> None:
@@ -41,4 +43,5 @@ def run(options: Options) -> None:
     if options.num_attempts < 1:
         raise DatasetError(f"num_attempts={options.num_attempts}", "1 or more", "correct --num-attempts")
     task = get_task(options.task)
-    print(json.dumps(measure(task, options.region, options.seed, options.num_attempts, options.demonstration)))
+    found = measure(task, options.region, options.seed, options.num_attempts, options.demonstration, options.controller)
+    print(json.dumps(found))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import Task
@@ -95,7 +96,8 @@ def explain_attempt(
             "name its directory with --demonstration",
         )
     settings = Settings(variation=DataVariation.read(facts))
-    made = trace(task, source, facts["region"], facts["seed"], attempt, settings)
+    controller = controllers.recorded(facts.get("controller_hash"))
+    made = trace(task, source, facts["region"], facts["seed"], attempt, settings, controller)
     same = made.episode.digest == records[attempt]["digest"]
     again = agreement(records[attempt], made.episode)
     origin = f"{facts['task']}, {facts['region']}, seed {facts['seed']}, attempt {attempt} of {len(records)}"

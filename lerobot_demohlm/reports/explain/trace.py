@@ -157,7 +157,13 @@ class _Recorder:
 
 
 def trace(
-    task: Task, demonstration: Demonstration, region: str, seed: int, index: int, settings: Settings | None = None
+    task: Task,
+    demonstration: Demonstration,
+    region: str,
+    seed: int,
+    index: int,
+    settings: Settings | None = None,
+    controller: str | None = None,
 ) -> Trace:
     """Make an attempt again and take everything down.
 
@@ -168,10 +174,18 @@ def trace(
         seed: Of the run.
         index: Of the attempt.
         settings: Of the run.
+        controller: Name, path or hash of the run's whole-body controller; the default one by default.
     """
     recorder = _Recorder()
     attempts = Attempts(
-        task, demonstration, region, seed, 1, settings, on_step=recorder.on_step, on_command=recorder.on_command
+        task,
+        demonstration,
+        region,
+        seed,
+        settings=settings,
+        on_step=recorder.on_step,
+        on_command=recorder.on_command,
+        controller=controller,
     )
     (episode,) = attempts.run([index])
     attempts.close()

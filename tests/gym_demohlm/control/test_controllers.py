@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gym_demohlm.control import controllers
+from gym_demohlm.control import command, controllers, features
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Gait, Settings, Trim
+from gym_demohlm.control.tick import Sensors, Tick
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights, WholeBodyController
 from gym_demohlm.errors import DemoHLMError, SceneError, UnknownNameError
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import PHYSICS, SECOND
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation.trial import trial_task
 
@@ -37,7 +39,9 @@ def test_settings_survive_a_file(tmp_path: Path) -> None:
     settings = Settings(
         gait=Gait(period_s=0.6, spread=0.08, turn=tuple(0.01 * np.arange(12)), capture=(0.1, 0.09, 0.12)),
         slew=(1.0, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5),
+        gain=(1.1, 1.3, 1.0, 1.0, 1.0, 1.0, 1.0),
         trim=Trim(rate=0.5),
+        physics=SECOND,
         damping=tuple(2.0 * g1.motor(joint).damping for joint in g1.BODY_JOINTS),
     )
     path = _write(tmp_path / "w.npz", lambda _, metadata: metadata.update(settings.metadata()))
@@ -45,6 +49,7 @@ def test_settings_survive_a_file(tmp_path: Path) -> None:
     controller = WholeBodyController(1, path)
     assert controller.cycle_s == 0.6
     simulation = Simulation(trial_task(), controller=controller)
+    assert simulation.model.opt.noslip_iterations == SECOND.noslip_iterations
     for model in (simulation.model, simulation.scene.physics, simulation.scene.untouched):
         assert model.actuator("left_knee").biasprm[2] == -2.0 * g1.motor("left_knee").damping
 
@@ -125,23 +130,69 @@ def test_a_pickle_is_refused_unread(tmp_path: Path) -> None:
 def test_controllers_are_found_by_name_path_and_hash(tmp_path: Path) -> None:
     folder = tmp_path / "weights"
     folder.mkdir()
-    (folder / DEFAULT_WEIGHTS.name).write_bytes(DEFAULT_WEIGHTS.read_bytes())
+    first = controllers.install(DEFAULT_WEIGHTS, folder)
+    (folder / "default.txt").write_text(first.stem)
     other = _write(
         tmp_path / "other.npz", lambda _, metadata: metadata.update(Settings(trim=Trim(rate=0.6)).metadata())
     )
     there = controllers.install(other, folder)
     digest = hashlib.sha256(other.read_bytes()).hexdigest()
-    assert [entry.name for entry in controllers.installed(folder)] == ["default", digest[:12]]
-    assert controllers.find("default", folder) == folder / DEFAULT_WEIGHTS.name
+    assert [(entry.name, entry.is_default) for entry in controllers.installed(folder)] == [
+        (DEFAULT_WEIGHTS.stem, True),
+        (digest[:12], False),
+    ]
+    assert controllers.find("default", folder) == first
     for wanted in (digest, digest[:8].upper(), digest[:12]):
         assert controllers.find(wanted, folder) == there
     assert controllers.find(str(other), folder) == other
     assert Weights(there).hash == digest
     for wanted in ("nobody", digest[:7]):
-        with pytest.raises(UnknownNameError, match=f"{digest[:12]}, default|default, {digest[:12]}"):
+        with pytest.raises(UnknownNameError, match=digest[:12]):
             controllers.find(wanted, folder)
     with pytest.raises(SceneError, match="no file"):
         controllers.find(str(tmp_path / "missing.npz"), folder)
+    controllers.make_default(digest[:12], folder)
+    assert controllers.find("default", folder) == there
+
+
+def test_every_installed_controller_is_named_by_its_hash_and_can_be_used() -> None:
+    there = controllers.installed()
+    assert sum(controller.is_default for controller in there) == 1
+    for controller in there:
+        assert controller.name == controller.hash[: controllers.HASH_DIGITS]
+        assert controllers.recorded(controller.hash) == controller.name
+        simulation = Simulation(trial_task(), controller=controller.name)
+        physics = Weights(controller.path).settings.physics
+        assert simulation.model.opt.noslip_iterations == physics.noslip_iterations
+        simulation.close()
+    assert controllers.recorded("0" * 64) is None
+
+
+def test_scenes_without_a_controller_have_the_physics_of_the_default_one() -> None:
+    assert controllers.load().settings.physics == PHYSICS
+
+
+def test_a_gain_tells_the_policy_more_than_was_commanded(tmp_path: Path) -> None:
+    gain = (1.2, 1.4, 1.0, 1.1, 1.0, 1.0, 1.0)
+    path = _write(tmp_path / "w.npz", lambda _, metadata: metadata.update(gain=gain))
+    told = np.tile(command.rest(), (1, 1))
+    told[0, :4] = 0.3, -0.2, 0.5, 0.7
+    situations = []
+    for weights in (DEFAULT_WEIGHTS, path):
+        controller = WholeBodyController(1, weights)
+        tick = Tick(controller.reference, controller.settings)
+        still = Proprioception(
+            quat_wxyz=np.array([[1.0, 0, 0, 0]]), gyro=np.zeros((1, 3)), q=g1.HOME[None], dq=np.zeros((1, 29))
+        )
+        controller.reset(np.arange(1), still)
+        arms = told[:, command.ARMS][:, features.OBSERVED_ARM_INDEX]
+        situations.append(tick.perceive(controller.state, Sensors.of(still), told, arms))
+    plain, led = situations
+    assert np.array_equal(plain.slewed, led.slewed)
+    np.testing.assert_allclose(led.told[0, :2], np.multiply(plain.told[0, :2], gain[:2]))
+    drop = g1.PELVIS_HEIGHT - plain.told[0, 3]
+    assert drop > 0
+    np.testing.assert_allclose(g1.PELVIS_HEIGHT - led.told[0, 3], 1.1 * drop)
 
 
 def test_bad_weights_are_not_installed(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from gym_demohlm.control.settings import UNTRIMMED, Trim
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import CONTROL_DT
-from gym_demohlm.wbc.evaluation.benchmark import tracked
+from gym_demohlm.wbc.evaluation.episodes import tracked
 from gym_demohlm.wbc.evaluation.trial import trial_task
 
 _CONSTANT = np.ones((1, 5), dtype=bool)

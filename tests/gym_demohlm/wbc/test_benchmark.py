@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_demohlm.control import command
-from gym_demohlm.wbc.evaluation import benchmark
-from gym_demohlm.wbc.evaluation.benchmark import posture
+from gym_demohlm.wbc.evaluation import benchmark, episodes
 from gym_demohlm.wbc.evaluation.cycle import CycleMean
+from gym_demohlm.wbc.evaluation.episodes import posture
 from gym_demohlm.wbc.evaluation.intervals import wilson
 from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_simulation
 
@@ -77,8 +77,8 @@ def test_postures_are_told_apart(told: dict[int, float], name: str) -> None:
 
 def test_falls_are_counted_by_load_and_posture(monkeypatch: pytest.MonkeyPatch) -> None:
     """A push of 3 m/s fells everyone; each fall is counted once, where it was."""
-    monkeypatch.setattr(benchmark, "PUSH_SPEED", 3.0)
-    monkeypatch.setattr(benchmark, "NUM_LOADS", 2)
+    monkeypatch.setattr(episodes, "PUSH_SPEED", 3.0)
+    monkeypatch.setattr(episodes, "NUM_LOADS", 2)
     found = benchmark.benchmark(num_worlds=4, seconds=7.0, seed=3, num_threads=1, num_seeds=2)
     assert found["survival_pushed"] == 0.0
     assert [group["robots"] for group in found["falls_by_load"]] == [1, 1, 1, 1]

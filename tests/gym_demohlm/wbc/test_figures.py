@@ -11,7 +11,7 @@ from PIL import Image
 from gym_demohlm.control import command
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT
-from gym_demohlm.wbc.evaluation import benchmark, figures, intervals, performance
+from gym_demohlm.wbc.evaluation import episodes, figures, intervals, performance
 
 _SHORT = (
     performance.Scene(label="stand", seconds=0.4),
@@ -44,7 +44,7 @@ def test_the_push_changes_the_velocity_at_once(performed: tuple[performance.Reco
     sideways = []
     for tick in (49, 50):
         recorder.show(take.states[tick])
-        sideways.append(benchmark.tracked(recorder)["sideways"][0])
+        sideways.append(episodes.tracked(recorder)["sideways"][0])
     assert sideways[1] - sideways[0] > 0.15
 
 

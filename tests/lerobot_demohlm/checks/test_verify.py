@@ -11,13 +11,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.registry import get_task
+from gym_demohlm.scene import build_scene
 from lerobot_demohlm import cli
 from lerobot_demohlm.checks import verify
 from lerobot_demohlm.datasets import facts, origin, reader
 from lerobot_demohlm.generation.block import write_block
+from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.run import GenerationRun, failures_root
-from lerobot_demohlm.reproducibility import fingerprint
+from lerobot_demohlm.generation.runner import generate
+from lerobot_demohlm.reproducibility import fingerprint, provenance
 from tests.helpers import small_run as run
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -161,6 +166,24 @@ def test_another_installation_is_a_remark_where_bits_agree(copy: Path, capsys: p
     assert "every bit as generated" in lines[4]
     said = json.loads(lines[-1])
     assert (said["identical"], len(said["mismatches"]), len(said["other_versions"])) == (True, 3, 2)
+
+
+def test_a_dataset_of_another_controller_is_verified_with_it(tmp_path: Path) -> None:
+    other = next(controller for controller in controllers.installed() if not controller.is_default)
+    request = GenerationRequest(
+        task="LiftBox", region="R1", seed=1, root=tmp_path / "data", num_attempts=1, controller=other.name, block_size=1
+    )
+    assert generate(request).successes == 1
+    found = facts.read_facts(request.root)
+    assert found["controller_hash"] == other.hash
+    assert found["model_hash"] != provenance.model_hash(build_scene(get_task("LiftBox")).model)  # another physics
+    task = get_task("LiftBox")
+    outcome = verify.verify(request.root, task)
+    assert outcome.identical
+    assert outcome.mismatches == ()
+    wrong = verify.verify(request.root, task, controller=controllers.DEFAULT)
+    assert not wrong.agrees
+    assert [line.split()[0] for line in wrong.mismatches] == ["controller", "model"]
 
 
 @pytest.mark.parametrize(("change_by", "code"), [(0.02, 0), (0.5, 1)])

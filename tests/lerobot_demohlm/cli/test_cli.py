@@ -149,8 +149,8 @@ def test_choices_are_those_of_the_library() -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("", "no verb; expected one of benchmark, "),
-        ("fly", "expected one of benchmark, "),
+        ("", "no verb; expected one of adopt-controller, "),
+        ("fly", "expected one of adopt-controller, "),
         ("generat", "did you mean 'generate'?"),
         ("benchmark reech", "did you mean 'reach'?"),
         ("benchmark controller pear", "did you mean 'peer'?"),

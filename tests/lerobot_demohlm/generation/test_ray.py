@@ -24,6 +24,7 @@ from tests.helpers.paths import REPOSITORY
 ray_workers = pytest.importorskip("lerobot_demohlm.generation.ray_workers", reason="needs the extra [ray]")
 ray = ray_workers.ray
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+_TRIES = 4
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +38,30 @@ def faults() -> Iterator[ModuleType]:
         yield importlib.import_module("lerobot_demohlm.benchmarks.faults")
 
 
+def _started_cluster() -> Any:
+    """Start two nodes; Ray gives each 30 s to start, which a busy machine may exceed, so it is tried again."""
+    from ray.cluster_utils import Cluster
+
+    for attempt in range(_TRIES):
+        cluster = Cluster()
+        try:
+            for _ in range(2):
+                cluster.add_node(num_cpus=1, include_dashboard=False)
+            cluster.wait_for_nodes()
+        except Exception:
+            cluster.shutdown()
+            if attempt == _TRIES - 1:
+                raise
+        else:
+            return cluster
+    raise AssertionError
+
+
 @pytest.fixture
 def cluster(faults: ModuleType) -> Iterator[Any]:
     """Return a cluster of two nodes with one CPU each, this process connected to it."""
-    from ray.cluster_utils import Cluster
-
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster = _started_cluster()
     try:
-        cluster.add_node(num_cpus=1)
-        cluster.wait_for_nodes()
         ray.init(address=cluster.address, logging_level="error", log_to_driver=False)
         yield cluster
     finally:

@@ -67,6 +67,7 @@ class Options(Commands):
 def run(options: Options) -> None:
     """Measure; the last line on stdout is the result as JSON."""
     from gym_demohlm.control import controllers
+    from gym_demohlm.control.whole_body import Weights
     from gym_demohlm.wbc.evaluation.benchmark import benchmark, hand_error
 
     weights = controllers.find(options.controller)
@@ -74,7 +75,7 @@ def run(options: Options) -> None:
     found = benchmark(
         *options.numbers, ranges, weights, num_seeds=options.num_seeds, largest_hand_load=options.hand_load
     )
-    found["velocity_only"] = options.velocity_only
+    found |= {"velocity_only": options.velocity_only, "controller": Weights(weights).hash[: controllers.HASH_DIGITS]}
     if not options.velocity_only:
         found |= hand_error(options.num_worlds, options.seed, options.num_threads, weights)
     print_json(found)

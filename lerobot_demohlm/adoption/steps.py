@@ -1,0 +1,175 @@
+"""A new controller -> what each check found: benchmark beside the default, demonstrations, lint, generation.
+
+A check changes nothing but its own folder of the work directory. It returns what it found and what fell short.
+"""
+
+import functools
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm.control import controllers
+from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.robot.physics import Physics
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.wbc.evaluation import paired
+from gym_demohlm.wbc.evaluation.episodes import Trials, trials
+from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_task
+from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
+from lerobot_demohlm.checks import lint
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.demonstrations.replay import replay
+from lerobot_demohlm.generation.request import GenerationRequest
+from lerobot_demohlm.generation.runner import generate
+from lerobot_demohlm.teleop.record import record, script_of
+
+LEAST_SUCCESS = 0.97
+"""Share of attempts that must succeed in each task."""
+LARGEST_HAND_LOAD = 2.0  # kg
+REGION = "R3"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is checked, and how thoroughly.
+
+    Attributes:
+        weights: File of the new controller.
+        work: Directory of what has been found; a later call goes on from there.
+        num_robots: Of the benchmark, shared among three seeds and eight pairs of hand loads.
+        seconds: Of each of their episodes [s].
+        num_attempts: Generated from each new demonstration.
+        num_workers: Threads of the benchmark, and processes of generation.
+        seed: Of commands, pushes, lint and starts.
+    """
+
+    weights: Path
+    work: Path
+    num_robots: int = 624
+    seconds: float = 20.0
+    num_attempts: int = 100
+    num_workers: int = 2
+    seed: int = 7000
+
+    @property
+    def demonstrations(self) -> Path:
+        """Where the demonstrations with the new controller are."""
+        return self.work / "demonstrations"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What a check found.
+
+    Attributes:
+        numbers: As JSON holds them.
+        failures: What fell short, a line each; empty where all went well.
+    """
+
+    numbers: dict[str, Any]
+    failures: tuple[str, ...] = ()
+
+
+def benchmark(request: Request) -> Found:
+    """Try the new controller and the default one with the same commands, both in the new one's physics."""
+    physics = controllers.load(str(request.weights)).settings.physics
+    new, old = (
+        _tried(request, controllers.find(name), physics) for name in (str(request.weights), controllers.DEFAULT)
+    )
+    rows = paired.compare(new, old)
+    worse = tuple(
+        f"{row.name} is {row.new:.4g} beside {row.old:.4g} of the default controller; the difference is between "
+        f"{row.low:.2g} and {row.high:.2g}"
+        for row in rows
+        if row.worse
+    )
+    return Found(numbers={"rows": [asdict(row) for row in rows], "physics": physics.name}, failures=worse)
+
+
+def _tried(request: Request, weights: Path, physics: Physics) -> Trials:
+    return trials(
+        request.num_robots,
+        request.seconds,
+        request.seed,
+        request.num_workers,
+        CommandRange(),
+        num_seeds=3,
+        largest_hand_load=LARGEST_HAND_LOAD,
+        make=functools.partial(_worlds, weights, physics),
+    )
+
+
+def _worlds(weights: Path, physics: Physics, count: int, disturbance: Disturbance, num_threads: int) -> Simulation:
+    controller = WholeBodyController(count, weights)
+    controller.settings = replace(controller.settings, physics=physics)
+    return Simulation(trial_task(disturbance), count, num_threads, controller)
+
+
+def demonstrate(request: Request, name: str) -> Found:
+    """Record a task's demonstration with the new controller and replay it bit for bit."""
+    task, root = get_task(name), request.demonstrations / get_task(name).slug
+    shutil.rmtree(root, ignore_errors=True)
+    script = script_of(task)
+    try:
+        made = record(task, script.make_operator(), script.start, controller=str(request.weights))
+    except DemonstrationError as error:
+        return Found(numbers={"task": name}, failures=(f"{name}: no demonstration: {error}",))
+    made.save(root, task)
+    again = replay(demonstrations.load(root, task), controller=str(request.weights))
+    failures = () if again.identical else (f"{name}: {again.lines()[-1]}",)
+    return Found(numbers={"task": name, "ticks": len(made), "identical": again.identical}, failures=failures)
+
+
+def check_task(request: Request, name: str) -> Found:
+    """Lint a task with the new controller and its demonstration."""
+    task = get_task(name)
+    made = demonstrations.load(request.demonstrations / task.slug, task)
+    settings = lint.Settings(seed=request.seed, controller=str(request.weights))
+    checks = lint.lint(task, made, settings)
+    failures = tuple(f"{name}: {each.name}: {each.got}, expected {each.expected}" for each in checks if not each.ok)
+    return Found(numbers={"task": name, **{each.name: each.number for each in checks}}, failures=failures)
+
+
+def attempt(request: Request, name: str) -> Found:
+    """Generate from a task's new demonstration in the widest region."""
+    task = get_task(name)
+    summary = generate(
+        GenerationRequest(
+            task=name,
+            region=REGION,
+            seed=request.seed,
+            root=request.work / "data" / task.slug,
+            num_attempts=request.num_attempts,
+            num_workers=request.num_workers,
+            demonstration=request.demonstrations / task.slug,
+            controller=str(request.weights),
+        )
+    )
+    least = math.ceil(LEAST_SUCCESS * request.num_attempts)
+    failures = ()
+    if summary.successes < least:
+        failures = (f"{name}: {summary.successes} of {summary.attempts} attempts succeed, expected {least} or more",)
+    numbers = {"task": name, "region": REGION, "attempts": summary.attempts, "successes": summary.successes}
+    return Found(numbers={**numbers, "outcomes": summary.outcomes}, failures=failures)
+
+
+def packaged_tasks() -> list[str]:
+    """Return the names of the tasks that come with the package."""
+    return [name for name, task in all_tasks().items() if task.module.startswith("gym_demohlm.")]
+
+
+def plan(request: Request) -> list[tuple[str, Callable[[], Found]]]:
+    """Return the name of each check and what makes it, in their order."""
+    names = packaged_tasks()
+    each: dict[str, Callable[[Request, str], Found]] = {
+        "demonstration": demonstrate,
+        "lint": check_task,
+        "generation": attempt,
+    }
+    made = [(f"{kind} {name}", functools.partial(make, request, name)) for kind, make in each.items() for name in names]
+    return [("benchmark", functools.partial(benchmark, request)), *made]

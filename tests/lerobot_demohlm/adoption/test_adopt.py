@@ -1,0 +1,134 @@
+"""A controller is adopted after all checks, which are made once each; one that falls short changes nothing."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gym_demohlm import jsonl
+from gym_demohlm.control import controllers
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FOLDER
+from gym_demohlm.errors import SceneError
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.adoption import adopt
+from lerobot_demohlm.adoption.adopt import FOUND, NotAdoptedError
+from lerobot_demohlm.adoption.steps import Found, Request
+from lerobot_demohlm.cli import main
+from lerobot_demohlm.demonstrations import demonstration as demonstrations
+
+
+def _limp(path: Path) -> Path:
+    """Write a controller whose policy does nothing."""
+    arrays = dict(np.load(DEFAULT_WEIGHTS))
+    last = json.loads(arrays["metadata"].tobytes())["layers"] - 1
+    arrays[f"weight_{last}"], arrays[f"bias_{last}"] = 0 * arrays[f"weight_{last}"], 0 * arrays[f"bias_{last}"]
+    np.savez(path, allow_pickle=False, **arrays)
+    return path
+
+
+def _tree(root: Path) -> dict[str, str]:
+    return {
+        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(root.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_worse_controller_changes_nothing_and_is_told_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = _tree(WEIGHTS_FOLDER), _tree(demonstrations.default_root(get_task("LiftBox")).parent)
+    call = ["adopt-controller", str(_limp(tmp_path / "limp.npz")), "--work", str(tmp_path / "work")]
+    assert main([*call, "--num-robots", "8", "--seconds", "3", "--num-workers", "1"]) == 1
+    said = capsys.readouterr().out
+    assert "survival" in said
+    assert json.loads(said.splitlines()[-1])["adopted"] is False
+    assert before == (_tree(WEIGHTS_FOLDER), _tree(demonstrations.default_root(get_task("LiftBox")).parent))
+    (line,) = jsonl.read(tmp_path / "work" / FOUND)
+    assert line["check"] == "benchmark"
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", DEFAULT_WEIGHTS.read_bytes()[:2000]])
+def test_a_damaged_file_is_refused_before_anything_is_made(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match="cannot be read"):
+        adopt.check(Request(weights=path, work=tmp_path / "work"))
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_killed_call_makes_each_check_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    def planned(_: Request) -> list:
+        def one(name: str) -> Found:
+            made.append(name)
+            if name == "lint" and made.count("lint") == 1:
+                raise KeyboardInterrupt
+            return Found(numbers={})
+
+        return [(name, lambda name=name: one(name)) for name in ("benchmark", "lint", "generation")]
+
+    monkeypatch.setattr(adopt, "plan", planned)
+    request = Request(weights=DEFAULT_WEIGHTS, work=tmp_path / "work")
+    with pytest.raises(KeyboardInterrupt):
+        adopt.check(request)
+    assert len(adopt.check(request)) == 3
+    assert made == ["benchmark", "lint", "lint", "generation"]
+    adopt.check(Request(weights=DEFAULT_WEIGHTS, work=tmp_path / "work", seed=1))  # nothing is known of this one
+    assert len(made) == 7
+
+
+def test_what_fell_short_falls_short_again_without_being_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+
+    def short() -> Found:
+        made.append(1)
+        return Found(numbers={}, failures=("LiftBox: 96 of 100",))
+
+    monkeypatch.setattr(adopt, "plan", lambda _: [("generation LiftBox", short)])
+    for _ in range(2):
+        with pytest.raises(NotAdoptedError, match="96 of 100"):
+            adopt.check(Request(weights=DEFAULT_WEIGHTS, work=tmp_path / "work"))
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("killed_at", [None, "install", "copytree", "rename", "make_default"])
+def test_a_switch_that_was_killed_is_completed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed_at: str | None
+) -> None:
+    packaged, weights, work = tmp_path / "packaged", tmp_path / "weights", tmp_path / "work"
+    for name in ("lift_box", "push_cube"):
+        for root, text in ((packaged, "old"), (work / "demonstrations", "new")):
+            (root / name / "meta").mkdir(parents=True)
+            (root / name / "meta" / "demonstration.json").write_text(text)
+    shutil.copytree(WEIGHTS_FOLDER, weights)
+    new = _limp(tmp_path / "new.npz")
+    monkeypatch.setattr(demonstrations, "_PACKAGED", packaged)
+    monkeypatch.setattr(adopt, "packaged_tasks", lambda: ["LiftBox", "PushCube"])
+    request, calls = Request(weights=new, work=work), []
+
+    def kill(name: str, original):  # noqa: ANN001, ANN202
+        def killed(*args, **kwargs):  # noqa: ANN002, ANN003, ANN202
+            calls.append(name)
+            if len(calls) == 2 or (len(calls) == 1 and name in ("install", "make_default")):
+                raise KeyboardInterrupt
+            return original(*args, **kwargs)
+
+        return killed
+
+    with monkeypatch.context() as patch:
+        owner = {"install": controllers, "make_default": controllers, "copytree": shutil, "rename": Path}
+        if killed_at is not None:
+            patch.setattr(owner[killed_at], killed_at, kill(killed_at, getattr(owner[killed_at], killed_at)))
+            with pytest.raises(KeyboardInterrupt):
+                adopt.switch(request, weights)
+            assert (weights / "default.txt").read_text().strip() == DEFAULT_WEIGHTS.stem  # it comes last
+    name = adopt.switch(request, weights)
+    assert controllers.find("default", weights).read_bytes() == new.read_bytes()
+    assert (weights / "default.txt").read_text().strip() == name
+    assert sorted(path.name for path in packaged.iterdir()) == ["lift_box", "push_cube"]
+    assert set(_tree(packaged).values()) == {hashlib.sha256(b"new").hexdigest()}
