@@ -49,8 +49,8 @@ class Settings:
             replays of the demonstration from as many other starts, drawn from the last region, the widest one.
         seed: Of the starts and the commands.
         time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
-        controller: Name, path or hash of the whole-body controller.
         variation: How worlds differ; the demonstration itself is replayed in the plain world.
+        controller: Name, path or hash of the whole-body controller.
     """
 
     num_resets: int = 102
@@ -58,8 +58,8 @@ class Settings:
     num_episodes: int = 12
     seed: int = 0
     time_limit_s: float | None = None
-    controller: str = DEFAULT
     variation: str = "none"
+    controller: str = DEFAULT
 
     def __post_init__(self) -> None:
         for name in ("num_resets", "num_still", "num_episodes"):
@@ -112,9 +112,8 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
 def _check_resets(task: Task, settings: Settings) -> list[Check]:
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
-    sim = Simulation(
-        task, settings.num_resets, controller=settings.controller, variation=get_variation(settings.variation)
-    )
+    variation = get_variation(settings.variation)
+    sim = Simulation(task, settings.num_resets, controller=settings.controller, variation=variation)
     watch = OverlapWatch(sim)
     sim.reset([sim.vary(task.sample(region, generators[region])) for region in regions])
     watch.look(np.arange(settings.num_resets))
@@ -137,7 +136,8 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
     num_still, num_worlds = settings.num_still, settings.num_still + settings.num_episodes
     generators = [np.random.default_rng([settings.seed, 100, world]) for world in range(num_worlds)]
     regions = [*_regions(task, num_still), *_regions(task, settings.num_episodes)]
-    sim = Simulation(task, num_worlds, controller=settings.controller, variation=get_variation(settings.variation))
+    variation = get_variation(settings.variation)
+    sim = Simulation(task, num_worlds, controller=settings.controller, variation=variation)
     watch = OverlapWatch(sim)
     commands = np.tile(command.rest(), (num_worlds, 1))
     success, failure, broken, falls = (np.zeros(num_worlds, dtype=int) for _ in range(4))
@@ -235,11 +235,8 @@ def _check_replays(task: Task, demonstration: Demonstration, settings: Settings)
     from lerobot_demohlm.generation.attempt import Attempts
 
     count, region = settings.num_episodes, list(task.regions)[-1]
-    worlds = min(count, REPLAYS_TOGETHER)
-    sim, broken = (
-        Simulation(task, worlds, controller=settings.controller, variation=get_variation(settings.variation)),
-        0,
-    )
+    worlds, variation = min(count, REPLAYS_TOGETHER), get_variation(settings.variation)
+    sim, broken = Simulation(task, worlds, controller=settings.controller, variation=variation), 0
     watch = OverlapWatch(sim)
     plain = stages.Settings(variation=replace(PLAIN, variation=settings.variation))
     attempts = Attempts(task, demonstration, region, settings.seed, settings=plain, sim=sim)

@@ -102,6 +102,12 @@ VERBS = (
         example="demohlm evaluate --policy outputs/lift_box/pretrained_model --task LiftBox --region R2",
     ),
     Verb(
+        name="leaderboard",
+        group="policies",
+        help="score a policy under the fixed protocol of docs/benchmark.md, or check a result file",
+        example="demohlm leaderboard --policy outputs/act/checkpoints/last/pretrained_model --task LiftBox",
+    ),
+    Verb(
         name="reproduce",
         group="policies",
         help="run what is missing of one of the paper's tables: generate, train, roll out",

@@ -139,9 +139,8 @@ class Attempts:
         self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
         self.settings = settings or Settings()
         self._segments: list[Segment] = segment(demonstration, task, task.is_scattered(region))
-        self._sim = sim or Simulation(
-            task, num_worlds, controller=controller, variation=get_variation(self.settings.variation.variation)
-        )
+        variation = get_variation(self.settings.variation.variation)
+        self._sim = sim or Simulation(task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
         self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)

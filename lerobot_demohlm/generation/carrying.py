@@ -4,6 +4,7 @@ The motion of the last part is about the goal: what is held repeats its demonstr
 hands keep the grip that they have on it now, which need not be the demonstrated one.
 """
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -23,6 +24,8 @@ from lerobot_demohlm.generation.world_view import WorldView
 
 MAX_VELOCITY = (0.35, 0.2, 0.2, 0.4)  # m/s, m/s, m/s, rad/s: forward, backward, sideways and turning with a load
 MAX_TICKS = 250
+BACK_M = 0.35  # that the robot steps back before it turns to the goal
+_SETTLED = 10  # ticks after the last step of a demonstrated walk, at which the robot stands
 
 
 class Carrying:
@@ -66,30 +69,37 @@ class Carrying:
         return tick in self._walks
 
     def walk(self, tick: int) -> Iterator[np.ndarray]:
-        """Yield velocities (3,) [m/s, m/s, rad/s] that take the base to where it stood for the goal.
+        """Yield velocities (3,) [m/s, m/s, rad/s] that take the base back, and then to where it stood for the goal.
 
         Raises:
             StageError: It does not get there.
         """
         entry = self._walks[tick]
+        behind = poses.planar(*poses.to_planar(self._world.pose("pelvis"))) @ poses.planar(-BACK_M, 0.0, 0.0)
+        with contextlib.suppress(OffCourseError):  # away from what it took the thing from; how far exactly is no matter
+            yield from self._velocities(poses.to_planar(behind), replace(self._settings, max_walks=1))
         T_W_Od, T_W_O = self._goal_poses(entry)
         goal = self._task.goals[str(entry.held)]
         placement = retarget.choose_placement(
             "any" if goal.any_yaw else self._task.object(goal.object).symmetry,
-            T_W_Rd=self._demonstration.T_world_pelvis[entry.start],
+            T_W_Rd=self._demonstration.T_world_pelvis[min(entry.start + _SETTLED, entry.stop - 1)],
             T_W_Od=T_W_Od,
             T_W_O=T_W_O,
             T_W_R=self._world.pose("pelvis"),
         )
         self._turns[entry.start] = placement.symmetry
         try:
-            for wanted in locomotion.walk(lambda: self._world.pose("pelvis"), placement.goal, self._settings):
-                yield wanted[command.VELOCITY]
+            yield from self._velocities(placement.goal, self._settings)
         except OffCourseError:
             left = float(norm((placement.goal - poses.to_planar(self._world.pose("pelvis")))[:2]))
             reason = f"the base stood {left:.3f} m from its place at the {goal.object} after all its walks with a load"
             raise StageError("off_course", reason) from None
         self.resumes = entry.start
+
+    def _velocities(self, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
+        """Yield the velocities of a walk to a goal (3,) x, y, yaw [m, m, rad]."""
+        for wanted in locomotion.walk(lambda: self._world.pose("pelvis"), goal, settings):
+            yield wanted[command.VELOCITY]
 
     def targets(
         self, group: tuple[Segment, ...], last: np.ndarray, symmetries: Mapping[str | None, np.ndarray]

@@ -1,0 +1,86 @@
+"""The leaderboard: fixed starts, a result that shows when it was edited, and a card."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.registry import all_tasks
+from gym_demohlm.task import SCORING_SEEDS
+from lerobot_demohlm import quickstart
+from lerobot_demohlm.cli import main
+from lerobot_demohlm.evaluation import leaderboard
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED
+from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, first_seed, read, sign
+
+
+def result(**changes: Any) -> dict[str, Any]:
+    success = {"rate": 0.5, "interval": [0.09, 0.91]}
+    cells = [
+        {
+            "region": region, "variation": variation, "episodes": 2, "successes": 1, "first_seed": 1,
+            "success_strict": success, "success_held": success, "outcomes": {"success": 1, "fell": 1},
+            "rollouts_sha256": "0" * 64,
+        }
+        for region, variation in PROTOCOL.cells
+    ]  # fmt: skip
+    content = {
+        "benchmark": "demohlm", "version": 1, "official": True, "task": "LiftBox", "policy": "act", "score": 0.5,
+        "policy_hash": "a", "num_train_episodes": 3, "cells": cells, "commit": "c", "code_hash": "d",
+    }  # fmt: skip
+    return sign(content | changes)
+
+
+def written(path: Path, content: dict[str, Any]) -> Path:
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_a_result_reads_back_and_has_a_card(tmp_path: Path) -> None:
+    found = read(written(tmp_path / "result.json", result()))
+    assert found == result()
+    page = card(found)
+    assert "LiftBox: act, 50.0 %" in page and page.count("| R4 |") == 2 and "1 fell" in page
+    assert "no result" not in page and "no result" in card(result(official=False))
+
+
+@pytest.mark.parametrize("key", ["score", "policy_hash", "official"])
+def test_an_edited_result_is_found_out(tmp_path: Path, key: str) -> None:
+    with pytest.raises(DatasetError, match="it was edited"):
+        read(written(tmp_path / "result.json", result() | {key: 1.0}))
+
+
+def test_edited_rollouts_are_found_out(tmp_path: Path) -> None:
+    path = written(tmp_path / "result.json", result())
+    (tmp_path / "rollouts_r4_real.jsonl").write_text("{}\n")
+    with pytest.raises(DatasetError, match=r"rollouts_r4_real\.jsonl, edited"):
+        read(path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"benchmark": "demohlm", "version": 2}'])
+def test_what_is_no_result_is_refused(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(text)
+    assert main(["leaderboard", "--check", str(path)]) == 2
+    assert "expected" in capsys.readouterr().err
+
+
+def test_a_policy_needs_its_task(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["leaderboard", "--policy", str(tmp_path)]) == 2
+    assert "give one of the two" in capsys.readouterr().err
+
+
+def test_scoring_starts_are_nobody_elses() -> None:
+    firsts = [first_seed(name, region) for name in all_tasks() for region in ("R3", "R4")]
+    assert len(set(firsts)) == len(firsts)
+    assert all(first in SCORING_SEEDS and first + 999 in SCORING_SEEDS for first in firsts)
+    for seed in (FIRST_SEED, quickstart.FIRST_SEED if hasattr(quickstart, "FIRST_SEED") else 2_000_000):
+        assert seed not in SCORING_SEEDS
+
+
+def test_a_result_is_not_written_over(tmp_path: Path) -> None:
+    written(tmp_path / "result.json", result())
+    with pytest.raises(DatasetError, match="which exists"):
+        leaderboard.run(None, "LiftBox", tmp_path)  # pyright: ignore[reportArgumentType]  it is not looked at
