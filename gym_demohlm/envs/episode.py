@@ -210,14 +210,14 @@ def max_episode_steps(task: Task) -> int:
     return max(1, round(task.episode_length_s / STEP_DT))
 
 
-def observation_space(task: Task, obs_type: str) -> gym.spaces.Dict:
+def observation_space(task: Task, obs_type: str, image_size: tuple[int, int] = (WIDTH, HEIGHT)) -> gym.spaces.Dict:
     """Return the observation space of one world."""
     spaces: dict[str, gym.Space] = {
         "agent_pos": _unbounded(len(observation.STATE_NAMES)),
         "environment_state": _unbounded(observation.OBJECT_SIZE * len(task.objects)),
     }
     if obs_type == "pixels_agent_pos":
-        image = gym.spaces.Box(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+        image = gym.spaces.Box(0, 255, (image_size[1], image_size[0], 3), np.uint8)
         spaces["pixels"] = gym.spaces.Dict({"head": image})
     return gym.spaces.Dict(spaces)
 

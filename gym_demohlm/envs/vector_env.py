@@ -72,11 +72,13 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self.task, self.task_description = definition.name, definition.description
         self.region = definition.region(region).name
         self.perception = str(PerceptionSettings.read(perception))
-        self.single_observation_space = observation_space(definition, obs_type)
+        self.single_observation_space = observation_space(definition, obs_type, image_size)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller, perception, variation)
+        self._episodes = RunningEpisodes(
+            definition, num_envs, num_threads, obs_type, controller, perception, image_size, variation
+        )
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs

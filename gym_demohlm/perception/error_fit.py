@@ -116,6 +116,8 @@ def _channel(errors: Sequence[np.ndarray], tracks: Sequence[ErrorTrack], k: int)
     power, rate = _scale_exponents(np.linalg.norm(pooled, axis=1), distance, visible)
     s = (distance / DISTANCE) ** power * np.exp(rate * (1.0 - visible))
     scaled = pooled / s[:, None]
+    offset = np.median(scaled, axis=0)
+    scaled = scaled - offset
     axes = _axes(scaled)
     white = scaled @ np.linalg.inv(axes).T
     lengths = np.linalg.norm(white, axis=1)
@@ -131,6 +133,7 @@ def _channel(errors: Sequence[np.ndarray], tracks: Sequence[ErrorTrack], k: int)
     return Channel(
         distance_power=round(power, 4),
         hidden_rate=round(rate, 4),
+        offset=np.round(offset, 8).tolist(),
         axes=np.round(axes, 6).tolist(),
         normal_lengths=np.round(normal_lengths, 6).tolist(),
         error_lengths=np.round(error_lengths, 8).tolist(),

@@ -1,12 +1,13 @@
 """How a tracker errs, as numbers: a bias of each episode, noise from frame to frame, tails, and when it is lost.
 
 An error is a vector of three numbers (a shift, or a turn) in a frame whose x axis points at the object. It is
-``s A h(|g|) g / |g|`` with
+``s (c + A h(|g|) g / |g|)`` with
 
 - ``g = sqrt(w) b + sqrt(1 - w) a``: ``b`` drawn once an episode, ``a`` a first-order autoregression; three numbers of
   a standard normal distribution each, so ``w`` is the bias's share;
 - ``h``: the length that a length of ``g`` stands for, a table that follows the fitted errors' quantiles to their
   tails;
+- ``c``: what is common to all episodes;
 - ``A``: how much larger errors are in some directions;
 - ``s = (distance / 0.7 m)**p exp(q (1 - visible share))``.
 
@@ -36,6 +37,7 @@ class Channel:
     Attributes:
         distance_power: p.
         hidden_rate: q.
+        offset: c.
         axes: A, three rows of three.
         normal_lengths: Lengths of ``g`` in the table h, rising.
         error_lengths: Lengths that they stand for.
@@ -45,6 +47,7 @@ class Channel:
 
     distance_power: float
     hidden_rate: float
+    offset: list[float]
     axes: list[list[float]]
     normal_lengths: list[float]
     error_lengths: list[float]
@@ -60,9 +63,9 @@ class Channel:
             visible: (n,) shares.
         """
         length = np.linalg.norm(g, axis=-1)
-        scaled = np.interp(length, self.normal_lengths, self.error_lengths) / np.maximum(length, 1e-12)
-        scaled = scaled * self.scale(distance, visible)
-        return scaled[:, None] * (np.array(self.axes) * g[:, None, :]).sum(axis=-1)  # each row by itself, in its bits
+        ratio = np.interp(length, self.normal_lengths, self.error_lengths) / np.maximum(length, 1e-12)
+        spread = (np.array(self.axes) * g[:, None, :]).sum(axis=-1)  # each row by itself, in its bits
+        return self.scale(distance, visible)[:, None] * (np.array(self.offset) + ratio[:, None] * spread)
 
     def scale(self, distance: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """Return s (n,)."""

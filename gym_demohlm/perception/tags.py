@@ -33,7 +33,7 @@ class TagFinder:
             window: Where in the image it lies.
         """
         found = {}
-        for entry in self._detector.detect(np.ascontiguousarray(grey)):
+        for entry in list(self._detector.detect(np.ascontiguousarray(grey))):  # pyright: ignore[reportArgumentType]
             if entry.hamming == 0:
                 found[int(entry.tag_id)] = np.asarray(entry.corners) - 0.5 + window.corner  # pixel middles are whole
         return found

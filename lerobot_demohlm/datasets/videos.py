@@ -4,7 +4,7 @@ One thread and no frames that look ahead: so a machine always makes the same byt
 two frames with a key frame, which are every second, without encoding it again.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -158,17 +158,16 @@ def cut(source: Path, target: Path, num_frames: int) -> None:
             stream = read.streams.video[0]
             copied = written.add_stream_from_template(stream)
             for packet in read.demux(stream):
-                if packet.dts is not None and round(float(packet.pts * packet.time_base) * FPS) < num_frames:
+                if packet.pts is not None and round(float(packet.pts * (packet.time_base or 0)) * FPS) < num_frames:
                     packet.stream = copied
                     written.mux(packet)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise _damaged(source, str(error)) from error
 
 
-def sampled(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the frames (n, channels, height, width) of which statistics are made, at most 32 of them."""
-    step = max(1, len(frames) // 32)
-    chosen = np.stack(list(frames[::step]))
+def sampled(frames: np.ndarray) -> np.ndarray:
+    """Return those of some frames (n, channels, height, width) of which statistics are made: 32 to 63, or all."""
+    chosen = frames[:: max(1, len(frames) // 32)]
     return chosen[:, None] if chosen.ndim == 3 else chosen.transpose(0, 3, 1, 2)
 
 

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.datasets.compute_stats import aggregate_stats
 from lerobot.datasets.feature_utils import get_hf_features_from_features
-from lerobot.datasets.io_utils import write_info, write_stats
+from lerobot.datasets.io_utils import load_tasks, write_info, write_stats
 from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE, DEFAULT_DATA_PATH, DEFAULT_EPISODES_PATH
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
@@ -108,7 +108,7 @@ def write_dataset(
             rows.append(row if drawn is None else row | drawn.row(episode_index, length))
             meta.info.total_frames += length
     pq.write_table(pa.Table.from_pylist(rows), root / episodes_file(0), compression="snappy")
-    meta.info.total_episodes, meta.info.total_tasks = len(rows), len(meta.tasks)
+    meta.info.total_episodes, meta.info.total_tasks = len(rows), len(load_tasks(root))
     meta.info.splits = {"train": f"0:{len(rows)}"}
     write_info(meta.info, root)
     if drawn is not None:

@@ -1,9 +1,9 @@
 """The name of a policy and of a preset -> LeRobot's training configuration: the paper's hyperparameters, or a CPU's.
 
 ``paper`` is the paper's appendix. What it does not say, or what LeRobot's policies cannot do, is marked at its place.
-``cpu`` is smaller: a task trains in about a quarter of an hour on a core, or less. ``vision-cpu`` and ``vision-paper`` see
-pictures and the robot's state, but not where objects are; the latter is for a GPU, and the paper has none like it. All of a preset is here and nowhere
-else.
+``cpu`` is smaller: a task trains in about a quarter of an hour on a core, or less. ``vision-cpu`` and ``vision-paper``
+see pictures and the robot's state, but not where objects are; the latter is for a GPU, and not the paper's. All of a
+preset is here and nowhere else.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The chunked MLP: robot state, object poses and pictures -> the next ``chunk_size`` actions, by one feed-forward network."""
+"""The chunked MLP: robot state, object poses, pictures -> the next ``chunk_size`` actions, by one network."""
 
 from collections import deque
 from typing import Any
@@ -58,9 +58,7 @@ class ChunkedMLPPolicy(PreTrainedPolicy):
     def _predict(self, batch: dict[str, Tensor]) -> Tensor:
         """Map normalised observations (B, D) to normalised actions (B, chunk_size, action_dim)."""
         clip = self.config.input_clip
-        parts = (
-            [torch.cat([batch[key] for key in self.input_keys], dim=-1).clamp(-clip, clip)] if self.input_keys else []
-        )
+        parts = [batch[key].clamp(-clip, clip) for key in self.input_keys]
         if self.image_keys:
             parts += [
                 encoder(cropped(batch[key], self.config.crop, self.training))

@@ -23,7 +23,7 @@ TASK = get_task("GraspCube")
 def _channel(size: float, tails: float = 1.0) -> Channel:
     lengths = np.linspace(0.0, 5.0, 20)
     return Channel(
-        distance_power=1.5, hidden_rate=0.8, axes=[[1.4, 0, 0], [0, 0.7, 0], [0, 0, 0.7]],
+        distance_power=1.5, hidden_rate=0.8, offset=[0.001, 0.0, 0.0], axes=[[1.4, 0, 0], [0, 0.7, 0], [0, 0, 0.7]],
         normal_lengths=lengths.tolist(), error_lengths=(size * lengths**tails).tolist(),
         bias_share=0.4, correlation=0.6,
     )  # fmt: skip
