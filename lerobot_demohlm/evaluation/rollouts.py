@@ -273,7 +273,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
     if on_step is not None:
         on_step(env, going)
     while going.any():
-        actions = _act(loaded, env, observation)
+        actions = act(loaded, observation, env.task_description)
         observation, _, terminated, truncated, infos = env.step(actions)
         steps += going
         clipped += np.where(going, infos["clipped"], 0)
@@ -304,14 +304,24 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
     ]
 
 
-def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any]) -> np.ndarray:
-    """Return the policy's commands (N, 23) for the observations of all worlds."""
+def act(loaded: LoadedPolicy, observation: dict[str, Any], description: str) -> np.ndarray:
+    """Return the policy's commands (N, 23) for the observations of N worlds.
+
+    Args:
+        loaded: The policy; what it has still to carry out of its last chunks is its own memory.
+        observation: As an environment gives it: "agent_pos" (N, 68), "environment_state" (N, 9k), "pixels".
+        description: The task in words.
+
+    Raises:
+        PolicyError: The policy gives something else.
+    """
     import torch
     from lerobot.envs import preprocess_observation
     from lerobot.utils.constants import ACTION
 
+    count = len(observation["agent_pos"])
     batch: dict[str, Any] = preprocess_observation(observation)
-    batch["task"] = [env.task_description] * env.num_envs
+    batch["task"] = [description] * count
     config = loaded.policy.config
     kind = torch.device(str(config.device)).type
     precision = torch.autocast(kind) if config.use_amp else nullcontext()  # as lerobot-eval
@@ -320,8 +330,8 @@ def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any
         actions = loaded.postprocessor(loaded.policy.select_action(batch))
         actions = loaded.env_postprocessor({ACTION: actions})[ACTION]
     array = actions.to("cpu", torch.float32).numpy()
-    if array.shape != (env.num_envs, command.SIZE):
-        raise PolicyError(f"actions {array.shape}", f"({env.num_envs}, {command.SIZE})", "use a policy of this task")
+    if array.shape != (count, command.SIZE):
+        raise PolicyError(f"actions {array.shape}", f"({count}, {command.SIZE})", "use a policy of this task")
     return array
 
 

@@ -96,7 +96,16 @@ class Link:
         return Reader(DataReader(self._participant, made, _NEWEST if newest else _EVERY))
 
     def writer(self, topic: str, newest: bool = True) -> "Writer":
-        """Return a writer of a topic that no process but its owner may write, see ``wire`` for commands."""
+        """Return a writer of a topic.
+
+        Raises:
+            RobotError: Commands to motors are asked for: they go through ``wire.CommandWire`` alone.
+        """
+        if topic == LOW_CMD:
+            raise RobotError("a writer of commands to motors", "CommandWire, which filters them", "send through it")
+        return self._writer(topic, newest)
+
+    def _writer(self, topic: str, newest: bool = True) -> "Writer":
         made = Topic(self._participant, topic, _TYPES[topic])
         reliable = Qos(Policy.History.KeepLast(1), Policy.Reliability.Reliable(duration(milliseconds=0)))
         return Writer(DataWriter(self._participant, made, reliable if newest else _EVERY), _TYPES[topic])

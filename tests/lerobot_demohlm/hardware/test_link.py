@@ -50,7 +50,7 @@ def test_messages_go_to_another_process_and_back() -> None:
     other.start()
     try:
         link = Link("lo", domain)
-        reader, writer, command = link.reader(LOW_STATE), link.writer(LOW_CMD), LowCmd()
+        reader, writer, command = link.reader(LOW_STATE), link._writer(LOW_CMD), LowCmd()
         for number in (7, 11):
             command.q[0] = number
             command.seal()
@@ -69,7 +69,7 @@ def test_messages_go_to_another_process_and_back() -> None:
 def test_only_the_named_interface_is_joined() -> None:
     domain = free_domain()
     link = Link("lo", domain)
-    link.writer(LOW_CMD)
+    link._writer(LOW_CMD)
     joined = groups()
     assert SPDP_GROUP in joined["lo"]
     assert all(SPDP_GROUP not in there for name, there in joined.items() if name != "lo")
@@ -78,7 +78,7 @@ def test_only_the_named_interface_is_joined() -> None:
 def test_the_environment_cannot_add_an_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><General><Interfaces><NetworkInterface "
                        "autodetermine='true'/></Interfaces></General></Domain></CycloneDDS>")  # fmt: skip
-    Link("lo", free_domain()).writer(LOW_CMD)
+    Link("lo", free_domain())._writer(LOW_CMD)
     assert all(SPDP_GROUP not in there for name, there in groups().items() if name != "lo")
     assert configuration("lo").count("<NetworkInterface") == 1
 
@@ -96,7 +96,7 @@ def test_a_process_keeps_to_one_interface() -> None:
         pytest.skip("this machine has no other interface")
     domain = free_domain()
     Link("lo", domain)
-    with pytest.raises(RobotError, match="one interface a process|is down"):
+    with pytest.raises(RobotError, match=r"one interface a process|is down"):
         Link(others[0], domain)
 
 
