@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-GROUPS = ("begin here", "demonstrations", "data", "policies", "checks", "reports", "benchmarks", "training")
+GROUPS = ("begin here", "demonstrations", "data", "policies", "robot", "checks", "reports", "benchmarks", "training")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +106,24 @@ VERBS = (
         group="policies",
         help="run what is missing of one of the paper's tables: generate, train, roll out",
         example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
+    ),
+    Verb(
+        name="deploy",
+        group="robot",
+        help="have a policy drive a G1, real or simulated, at the other end of a network",
+        example="demohlm deploy --policy outputs/lift_box/pretrained_model --task LiftBox --interface lo",
+    ),
+    Verb(
+        name="simulate-robot",
+        group="robot",
+        help="be a G1 in MuJoCo that speaks the robot's own protocol, with faults on request",
+        example="demohlm simulate-robot --task LiftBox --interface lo",
+    ),
+    Verb(
+        name="robot-check",
+        group="robot",
+        help="listen to a robot and say what a deployment would refuse; nothing is sent to its motors",
+        example="demohlm robot-check --interface enp2s0",
     ),
     Verb(
         name="verify",
@@ -241,6 +259,12 @@ VERBS = (
         group="benchmarks",
         help="measure the latency and pace of the page's server with a headset and a spectator",
         example="demohlm benchmark teleoperation --seconds 60",
+    ),
+    Verb(
+        name="benchmark deployment",
+        group="benchmarks",
+        help="measure the way to a simulated robot: rates, ages, answers to kills and faults, success",
+        example="demohlm benchmark deployment --part link --seconds 60",
     ),
     Verb(
         name="benchmark perturbed",

@@ -225,7 +225,7 @@ class ControlProcess:
         self._tell(now, began, targets)
 
     def _ramp(self, sensed: Proprioception) -> tuple[np.ndarray, np.ndarray]:
-        """Return command (23,) and joint targets (29,) on the way to the home pose; at its end the controller begins."""
+        """Return command (23,) and targets (29,) on the way to the home pose; at its end the controller begins."""
         share = min(1e-9 * (time.monotonic_ns() - self._entered_ns) / RAMP_S, 1.0)
         smooth = share * share * (3.0 - 2.0 * share)
         if share >= 1.0:

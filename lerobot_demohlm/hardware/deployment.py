@@ -19,6 +19,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.hardware import records
@@ -34,6 +36,7 @@ from lerobot_demohlm.reproducibility.processes import end_with_parent
 READY_S = 180.0  # that processes may take to load
 OPERATOR_S = 0.05  # between signs of life of the operator
 FACTS = "deployment.json"
+_GO = "go"  # a file: everything but the controller is ready
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +117,11 @@ class Deployment:
         self._quiet = threading.Event()
         self._lock = threading.Lock()
         try:
-            for name in self._names():
+            for name in (*self._names(), "control"):
                 self._start(name)
-            self._wait_for_ready()
-            self._start("control")
-            self._wait_for_ready()
+            self._wait_for_ready(*self._names())
+            (self.folder / _GO).touch()
+            self._wait_for_ready("control")
         except BaseException:
             self.close()
             raise
@@ -146,6 +149,16 @@ class Deployment:
         with self._lock:
             self._mode, self._number, self._estop = Mode.DAMP, self._number + 1, source
         self._say()
+
+    def write_command(self, wanted: np.ndarray, run_ns: int, step: int) -> None:
+        """Take the place of a policy: hand a command (23,) to the controller, for the run that began at a time.
+
+        Raises:
+            RobotError: A policy's process writes them.
+        """
+        if self.settings.policy is not None:
+            raise RobotError("commands beside a policy's", "one source of commands", "deploy without a policy")
+        self._slots["policy"].write(records.record("policy", command=wanted, run_ns=run_ns, step=step))
 
     def read(self, name: str) -> Reading | None:
         """Return the newest of a slot."""
@@ -178,6 +191,10 @@ class Deployment:
         for name, process in self.processes.items():
             if process.exitcode is not None:
                 self._raise(name, process.exitcode)
+
+    def forget_ended(self) -> None:
+        """Look no longer after processes that have ended; the controller's watchdogs answer for them."""
+        self.processes = {name: each for name, each in self.processes.items() if each.exitcode is None}
 
     def wait_for(self, mode: Mode, timeout_s: float, *, standing: bool = False) -> None:
         """Wait until the robot is in a mode.
@@ -214,7 +231,7 @@ class Deployment:
             if process is None or process.pid is None:
                 continue
             if process.is_alive():
-                os.kill(process.pid, signal.SIGCONT)
+                os.kill(process.pid, signal.SIGCONT)  # one that was stopped could not end
                 process.terminate()
             process.join(5.0)
             if process.is_alive():
@@ -236,9 +253,9 @@ class Deployment:
         process.start()
         self.processes[name] = process
 
-    def _wait_for_ready(self) -> None:
+    def _wait_for_ready(self, *names: str) -> None:
         until = time.monotonic() + READY_S
-        while missing := [name for name in self.processes if not (self.folder / f"{name}.ready").exists()]:
+        while missing := [name for name in names if not (self.folder / f"{name}.ready").exists()]:
             self.check()
             if time.monotonic() > until:
                 raise RobotError(f"{', '.join(missing)} not ready after {READY_S:g} s", "all processes", "try again")
@@ -298,13 +315,24 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
         from lerobot_demohlm.hardware.control_process import ControlProcess, ControlSettings
 
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
+        parent = os.getppid()
+        while not (folder / _GO).exists():  # it is loaded, but sends nothing before all others are ready
+            if os.getppid() != parent:
+                raise SystemExit(1)
+            time.sleep(0.01)
         hurry(CONTROL)
         made: Any = ControlProcess(
             ControlSettings(
-                interface=settings.interface, folder=folder, task=settings.task, domain=settings.domain,
-                weights=settings.weights, servos=settings.servo_port is not None, recorded=settings.root is not None,
-                limits=settings.limits, ages=settings.ages,
-            )  # fmt: skip
+                interface=settings.interface,
+                folder=folder,
+                task=settings.task,
+                domain=settings.domain,
+                weights=settings.weights,
+                servos=settings.servo_port is not None,
+                recorded=settings.root is not None,
+                limits=settings.limits,
+                ages=settings.ages,
+            )
         )
     else:
         end_with_parent()
@@ -328,9 +356,14 @@ def _make_helper(name: str, settings: DeploymentSettings, folder: Path) -> Any: 
 
         return PoseProcess(
             PoseSettings(
-                source=settings.pose_source, task=settings.task, folder=folder, interface=settings.interface,
-                domain=settings.domain, tags=settings.tags, camera=settings.camera,
-            )  # fmt: skip
+                source=settings.pose_source,
+                task=settings.task,
+                folder=folder,
+                interface=settings.interface,
+                domain=settings.domain,
+                tags=settings.tags,
+                camera=settings.camera,
+            )
         )
     if name == "servos":
         from lerobot_demohlm.hardware.servos import ServoProcess

@@ -31,7 +31,7 @@ Stop = Callable[[str], None]
 
 @contextmanager
 def terminal_keys() -> Iterator[Callable[[float], str]]:
-    """Yield what waits for a key for some seconds and returns it, "" for none; the terminal echoes nothing meanwhile."""
+    """Yield what waits for a key for some seconds and returns it, "" for none; the terminal echoes nothing."""
     if not sys.stdin.isatty():
         yield lambda seconds: _read_key(seconds)
         return
@@ -76,7 +76,9 @@ class Gamepad:
         try:
             self._file = os.open(path, os.O_RDONLY)
         except OSError as error:
-            raise RobotError(f"no gamepad at {path} ({error.strerror})", "a joystick device", "check --gamepad") from error
+            raise RobotError(
+                f"no gamepad at {path} ({error.strerror})", "a joystick device", "check --gamepad"
+            ) from error
         self._ask, self._stop = ask, stop
         self._thread = threading.Thread(target=self._run, name="gamepad", daemon=True)
         self._thread.start()

@@ -153,7 +153,8 @@ class PolicyProcess:
             objects[: seen["environment_state"].shape[1]] = seen["environment_state"][0]
             value = records.record(
                 "policy", command=wanted, episode=self._episode, step=self._step, run_ns=self._run_ns,
-                state_ns=state.time_ns,                pose_ns=pose.time_ns, inference_s=time.perf_counter() - began, observed_state=seen["agent_pos"][0],
+                state_ns=state.time_ns, pose_ns=pose.time_ns, inference_s=time.perf_counter() - began,
+                observed_state=seen["agent_pos"][0],
                 observed_objects=objects,
             )  # fmt: skip
             self._slots["policy"].write(value)

@@ -1,8 +1,8 @@
 """Where objects are -> the slot "pose" at 25 Hz: a process of its own, whose silence the watchdog notices.
 
 ``exact`` and ``rgbd`` look at a simulated robot's world: the first asks it, the second draws what a D435 would measure
-and tracks the objects in it. ``remote`` takes poses from another program over UDP, ``apriltag`` finds tags in a camera's
-images (see ``apriltag.py``).
+and tracks the objects in it. ``remote`` takes poses from another program over UDP, ``apriltag`` finds tags in the
+images of a camera (see ``apriltag.py``).
 """
 
 import json

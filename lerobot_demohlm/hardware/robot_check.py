@@ -71,9 +71,7 @@ def check_robot(interface: str, seconds: float = 3.0, domain: int = DOMAIN, *, a
         "hottest_celsius": watch.hottest()[0],
         "joints": {
             name: {"q": round(float(q), 4), "dq": round(float(dq), 3), "celsius": int(heat)}
-            for name, q, dq, heat in zip(
-                g1.BODY_JOINTS, state.q, state.dq, state.temperature.max(axis=1), strict=False
-            )
+            for name, q, dq, heat in zip(g1.BODY_JOINTS, state.q, state.dq, state.temperature.max(axis=1), strict=False)
         },
     }
     return found | {"refused": _refused(found, state, watch, limits)}

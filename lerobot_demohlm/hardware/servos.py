@@ -23,6 +23,7 @@ from lerobot_demohlm.hardware.servo_units import GRIPPERS, NECK, Servo
 BAUD = 1_000_000
 PERIOD_S = 0.02
 _PROTOCOL = 2.0
+_POSITION, _VELOCITY = servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY
 
 
 class DynamixelBus:
@@ -80,17 +81,15 @@ class DynamixelBus:
         """Return positions [steps] and velocities [units] by id; None where a servo does not answer."""
         if self._reader.txRxPacket() != sdk.COMM_SUCCESS:
             return None
-        found = {}
-        for servo in self._servos:
-            for address in (servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY):
-                if not self._reader.isAvailable(servo.id, address, 4):
-                    return None
-            position, velocity = (
-                _signed(self._reader.getData(servo.id, address, 4))
-                for address in (servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY)
-            )
-            found[servo.id] = position, velocity
-        return found
+        try:
+            return {servo.id: (self._get(servo, _POSITION), self._get(servo, _VELOCITY)) for servo in self._servos}
+        except IndexError:  # the SDK takes a damaged packet for a short one
+            return None
+
+    def _get(self, servo: Servo, address: int) -> int:
+        if not self._reader.isAvailable(servo.id, address, 4):
+            raise IndexError(f"no answer of servo {servo.id}")
+        return _signed(self._reader.getData(servo.id, address, 4))
 
     def temperature(self, servo: Servo) -> int:
         """Return a servo's temperature [Celsius]; 0 where it does not answer."""
@@ -121,6 +120,7 @@ class ServoProcess:
         self._bus = DynamixelBus(port, self._servos)
         self._goals, self._present = records.slot(folder, "servo_goals"), records.slot(folder, "servos")
         self._stop, self._errors, self._enabled = False, 0, False
+        self._temperatures = np.zeros(4, np.int16)
 
     def run(self) -> None:
         """Serve until a signal asks for the end; then let go."""
@@ -153,7 +153,6 @@ class ServoProcess:
             self._errors += 1
             return
         if count % 50 == 0:
-            self._temperatures = np.zeros(4, np.int16)
             self._temperatures[: len(self._servos)] = [self._bus.temperature(servo) for servo in self._servos]
         fields: dict[str, Any] = {"temperature": self._temperatures, "errors": self._errors}
         for name, group in (("neck", NECK), ("jaws", GRIPPERS)):

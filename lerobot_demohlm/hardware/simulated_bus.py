@@ -157,7 +157,8 @@ class SimulatedBus:
             self._answer(number, content)
 
     def _answer(self, number: int, content: bytes) -> None:
-        plain = bytes([number]) + (len(content) + 4).to_bytes(2, "little") + bytes([_STATUS, 0]) + content
+        stuffed = content.replace(_HEADER[:3], _HEADER[:3] + b"\xfd")  # or it would look like a header
+        plain = bytes([number]) + (len(stuffed) + 4).to_bytes(2, "little") + bytes([_STATUS, 0]) + stuffed
         packet = _HEADER + plain
         with contextlib.suppress(OSError):
             os.write(self._ours, packet + checksum(packet).to_bytes(2, "little"))

@@ -288,8 +288,9 @@ class SimulatedG1:
         self._finished = True
         faults = {name: bool(flags[0]) for name, flags in self._judge.faults().items()}
         self._tell(
-            "episode", seed=self._settings.seed + self._episode, outcome=outcome(bool(self._judge.success_held[0]), faults),
-            length_s=round(0.1 * self._steps, 1), ended_by=why, start=self._start, **self.summary(),
+            "episode", seed=self._settings.seed + self._episode,
+            outcome=outcome(bool(self._judge.success_held[0]), faults), length_s=round(0.1 * self._steps, 1),
+            ended_by=why, start=self._start, **self.summary(),
         )  # fmt: skip
 
     @property

@@ -61,7 +61,8 @@ class Slot:
                 raise RobotError(f"{path.name} of {found} bytes", f"{size}", "start all processes of one version")
             self._map = mmap.mmap(file.fileno(), size)
         self._count = np.frombuffer(self._map, "<u8", 1)
-        halves = [np.frombuffer(self._map, np.uint8, _HEAD.itemsize + dtype.itemsize, 8 + i * (size - 8) // 2) for i in (0, 1)]  # fmt: skip
+        half_size = _HEAD.itemsize + dtype.itemsize
+        halves = [np.frombuffer(self._map, np.uint8, half_size, 8 + half * half_size) for half in (0, 1)]
         self._heads = [half[: _HEAD.itemsize].view(_HEAD) for half in halves]
         self._values = [half[_HEAD.itemsize :] for half in halves]
 
