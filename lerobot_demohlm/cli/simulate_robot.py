@@ -23,6 +23,7 @@ class Options:
         servo_link: Path made to lead to the serial port of its neck and grippers.
         noise: Sensor noise, as a share of the usual one.
         own_controller: Name of the robot's own controller that runs at first, for a rehearsal of releasing it.
+        gantry_s: Time for which its joints must be held before the gantry lets go [s].
         num_episodes: Starts after which it ends; 0 for never.
     """
 
@@ -35,6 +36,7 @@ class Options:
     servo_link: Path = Path("outputs/robot/servos")
     noise: float = 1.0
     own_controller: Annotated[str | None, default("none")] = None
+    gantry_s: float = 3.5
     num_episodes: int = 0
 
 
@@ -53,6 +55,7 @@ def run(options: Options) -> None:
         servo_link=options.servo_link,
         noise=options.noise,
         own_controller=options.own_controller or "",
+        gantry_s=options.gantry_s,
         episodes=options.num_episodes,
     )
     print(json.dumps({"event": "end", **run(settings)}))

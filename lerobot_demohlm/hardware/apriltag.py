@@ -179,7 +179,7 @@ def intrinsics_of(camera: Any, shape: tuple[int, ...]) -> np.ndarray:  # noqa: A
     height, width = shape[:2]
     profile = getattr(camera, "rs_profile", None)
     if profile is not None:
-        import pyrealsense2
+        import pyrealsense2  # of LeRobot's extra intelrealsense, without which there is no such camera
 
         told = profile.get_stream(pyrealsense2.stream.color).as_video_stream_profile().get_intrinsics()
         return np.array([[told.fx, 0.0, told.ppx], [0.0, told.fy, told.ppy], [0.0, 0.0, 1.0]])

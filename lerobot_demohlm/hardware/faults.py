@@ -209,7 +209,6 @@ class FaultyLine:
 
     def carry(self, content: bytes, time_s: float) -> list[bytes]:
         """Return what arrives now, when a message is sent at a time [s] since the robot stands free."""
-        self._number += 1
         arriving, delay = [content], 0.0
         for fault in self._faults.now(time_s, *MESSAGE_FAULTS):
             if fault.kind == "delay":
@@ -229,6 +228,7 @@ class FaultyLine:
             arriving.append(self._held)
             self._held = None
         for message in arriving:
+            self._number += 1
             heapq.heappush(self._late, (time_s + delay, self._number, message))
         found = []
         while self._late and self._late[0][0] <= time_s:

@@ -25,7 +25,11 @@ _TEXT = {"reason", "source"}
 
 def column_names(name: str) -> list[str]:
     """Return the columns of a slot."""
-    return [f"{name}.number", f"{name}.age_s", *(f"{name}.{field}" for field in records.RECORDS[name].names or ())]
+    return [
+        f"{name}.slot_number",
+        f"{name}.slot_age_s",
+        *(f"{name}.{field}" for field in records.RECORDS[name].names or ()),
+    ]
 
 
 class Recorder:
@@ -68,8 +72,8 @@ class Recorder:
         for name in SLOTS:
             reading = self._slots[name].read()
             value = np.zeros((), records.RECORDS[name])[()] if reading is None else reading.value
-            row[f"{name}.number"] = 0 if reading is None else reading.number
-            row[f"{name}.age_s"] = np.inf if reading is None else 1e-9 * (now_ns - reading.time_ns)
+            row[f"{name}.slot_number"] = 0 if reading is None else reading.number
+            row[f"{name}.slot_age_s"] = np.inf if reading is None else 1e-9 * (now_ns - reading.time_ns)
             for field in records.RECORDS[name].names or ():
                 entry = value[field]
                 if field in _TEXT:
@@ -86,7 +90,7 @@ class Recorder:
             pq.write_table(pa.Table.from_pylist(self._rows), partial, compression="zstd")
             os.replace(partial, path)
         except OSError as error:
-            self._failed = error.strerror or str(error)
+            self._failed = os.strerror(error.errno) if error.errno else str(error)
         else:
             self._files += 1
             self._total += len(self._rows)

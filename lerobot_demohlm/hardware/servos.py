@@ -121,6 +121,7 @@ class ServoProcess:
         self._goals, self._present = records.slot(folder, "servo_goals"), records.slot(folder, "servos")
         self._stop, self._errors, self._enabled = False, 0, False
         self._temperatures = np.zeros(4, np.int16)
+        self._serve(0)
 
     def run(self) -> None:
         """Serve until a signal asks for the end; then let go."""
