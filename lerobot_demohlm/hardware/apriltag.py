@@ -90,7 +90,7 @@ class TagFinder:
         """
         corners, numbers, _ = self._detector.detectMarkers(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
         found: dict[str, tuple[float, np.ndarray]] = {}
-        for each, number in zip(corners, [] if numbers is None else numbers.ravel().tolist(), strict=True):
+        for each, number in zip(corners, [] if numbers is None else map(int, numbers.ravel()), strict=True):
             if number not in self._tags:
                 continue
             name, tag = self._tags[number]

@@ -336,9 +336,9 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
         )
     else:
         end_with_parent()
+        made = _make_helper(name, settings, folder)
         if name != "recorder":
             hurry(HELPERS)
-        made = _make_helper(name, settings, folder)
     (folder / f"{name}.ready").touch()
     return made
 

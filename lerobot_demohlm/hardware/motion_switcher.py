@@ -52,7 +52,7 @@ class MotionSwitcher:
         until, again, self._number = time.monotonic() + self._timeout_s, 0.0, self._number + 1
         identity = idl.RequestIdentity_(self._number, api)
         header = idl.RequestHeader_(identity, idl.RequestLease_(0), idl.RequestPolicy_(0, False))
-        request = idl.Request_(header, "", [])
+        request = idl.Request_(header, "", [])  # pyright: ignore[reportArgumentType]
         while (now := time.monotonic()) < until:
             if now >= again:
                 self._requests.send_message(request)
@@ -99,4 +99,4 @@ class MotionSwitcherService:
                 self.name = ""
             data = json.dumps({"form": "0", "name": self.name}) if identity.api_id == CHECK else ""
             header = idl.ResponseHeader_(identity, idl.ResponseStatus_(0 if known else 3203))
-            self._responses.send_message(idl.Response_(header, data, []))
+            self._responses.send_message(idl.Response_(header, data, []))  # pyright: ignore[reportArgumentType]

@@ -227,4 +227,4 @@ def _record(look: Look, looking_s: float) -> np.void:
     value["T_camera_object"][:] = np.eye(4)
     value["T_camera_object"][:count], value["valid"][:count] = look.T_camera_object, look.valid
     value["age_s"][:count], value["looking_s"] = look.age_s, looking_s
-    return value[()]
+    return value[()]  # pyright: ignore[reportReturnType]

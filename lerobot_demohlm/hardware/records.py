@@ -79,9 +79,9 @@ def record(name: str, **values: Any) -> np.void:  # noqa: ANN401
     made = np.zeros((), RECORDS[name])
     for field, value in values.items():
         made[field] = value
-    return made[()]
+    return made[()]  # pyright: ignore[reportReturnType]
 
 
-def text(value: bytes | np.bytes_) -> str:
+def text(value: Any) -> str:  # noqa: ANN401
     """Return the text of a field."""
     return bytes(value).decode(errors="replace")

@@ -23,6 +23,7 @@ from lerobot_demohlm.hardware.servo_units import GRIPPERS, NECK, Servo
 BAUD = 1_000_000
 PERIOD_S = 0.02
 _PROTOCOL = 2.0
+_PINGS = 5
 _POSITION, _VELOCITY = servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY
 
 
@@ -53,8 +54,7 @@ class DynamixelBus:
         self._reader = sdk.GroupSyncRead(self._port, self._packets, servo_units.PRESENT_VELOCITY, 8)
         for servo in servos:
             self._reader.addParam(servo.id)
-            _, result, _ = self._packets.ping(self._port, servo.id)
-            if result != sdk.COMM_SUCCESS:
+            if not any(self._packets.ping(self._port, servo.id)[1] == sdk.COMM_SUCCESS for _ in range(_PINGS)):
                 self.close()
                 raise RobotError(
                     f"no servo {servo.id} at {port}", f"servos {', '.join(str(each.id) for each in servos)}",
