@@ -130,12 +130,18 @@ class ServoProcess:
         due, count = time.monotonic(), 0
         try:
             while not self._stop:
-                self._serve(count)
+                try:
+                    self._serve(count)
+                except (OSError, serial.SerialException) as error:
+                    raise RobotError(
+                        f"servos that are gone ({error})", "a port that stays", "check the cable"
+                    ) from error
                 count += 1
                 due = max(due + PERIOD_S, time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))
         finally:
-            self._bus.enable(False)
+            with suppress(OSError, serial.SerialException):
+                self._bus.enable(False)
             self._bus.close()
 
     def _serve(self, count: int) -> None:
