@@ -39,8 +39,9 @@ class DdsSeen:
 class DdsRobot:
     """A robot that stands and obeys.
 
-    On ``lo``, a simulated robot, it stands and runs at once. Any other robot waits for its remote: start to stand,
-    A to run.
+    It stands once it is connected, and runs from the first action of an episode on. A loop that has been silent for
+    too long finds it holding until the next episode. On ``lo`` it is a simulated robot; any other waits for its remote:
+    start to stand, A to run.
 
     Args:
         config: Where it is.
@@ -67,7 +68,6 @@ class DdsRobot:
             self._allow("start")
             self._deployment.request(Mode.STAND)
             self._wait_to_stand()
-            self._run()
         except BaseException:
             self._deployment.close()
             raise
@@ -97,8 +97,11 @@ class DdsRobot:
         Raises:
             DeviceError: The robot brakes its motors, or its controller has ended.
         """
-        deployment, control = self._deployment, self._deployment.read("control")
+        deployment = self._deployment
         deployment.check()
+        if self._step == 0 and deployment.mode in (Mode.STAND, Mode.HOLD):
+            self._run()
+        control = deployment.read("control")
         if control is None or int(control.value["mode"]) == Mode.DAMP:
             raise DeviceError(f"a robot that brakes its motors ({deployment.reason})", "one that runs", "connect again")
         run_ns = int(control.value["since_ns"]) if int(control.value["mode"]) == Mode.RUN else -1
@@ -106,10 +109,8 @@ class DdsRobot:
         self._step += 1
 
     def reset(self) -> None:
-        """Begin an episode: a robot that holds runs again."""
+        """Begin an episode: at its first action a robot that holds runs again."""
         self._step = 0
-        if self._deployment.mode == Mode.HOLD:
-            self._run()
 
     def close(self) -> None:
         """Brake the motors."""
@@ -126,7 +127,7 @@ class DdsRobot:
         time.sleep(BALANCE_S)
 
     def _run(self) -> None:
-        """Run; the loop's own first action may take a while, so the controller gets the rest until then."""
+        """Run, from rest until an action comes."""
         self._allow("A")
         self._deployment.write_command(command.rest(), -1, 0)
         self._deployment.request(Mode.RUN)

@@ -5,7 +5,7 @@ process looks every 4 ms whether something has happened that must be answered at
 ends, however it is asked to.
 """
 
-import os
+import multiprocessing
 import signal
 import time
 from contextlib import suppress
@@ -30,7 +30,6 @@ from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link
 from lerobot_demohlm.hardware.machine import Request, StateMachine, Watched
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.safety import SafetyFilter, Wanted
-from lerobot_demohlm.hardware.single import ControllerLock
 from lerobot_demohlm.hardware.state_watch import StateWatch
 from lerobot_demohlm.hardware.wire import CommandWire
 
@@ -73,12 +72,11 @@ class ControlProcess:
         settings: What it needs to know.
 
     Raises:
-        RobotError: Another controller is at work on this network, or it cannot be used.
+        RobotError: Somebody else commands this robot, or the network cannot be used.
     """
 
     def __init__(self, settings: ControlSettings) -> None:
         self._settings, task = settings, get_task(settings.task)
-        self._lock = ControllerLock(settings.interface, settings.domain)
         link = Link(settings.interface, settings.domain)
         self._states = link.reader(LOW_STATE)
         refuse_other_controllers(link)
@@ -101,9 +99,10 @@ class ControlProcess:
         """Control the robot until a signal asks for the end; then brake its motors."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
-        due, self._looked_ns, parent = time.monotonic(), time.monotonic_ns(), os.getppid()
+        due, self._looked_ns = time.monotonic(), time.monotonic_ns()
+        parent = multiprocessing.parent_process()
         try:
-            while not self._stop and os.getppid() == parent:  # whoever started it may be killed
+            while not self._stop and (parent is None or parent.is_alive()):  # whoever started it may be killed
                 if self._look() and self._machine.mode == Mode.DAMP:
                     self._send_damping()
                 if time.monotonic() >= due:

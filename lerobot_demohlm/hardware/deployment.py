@@ -30,6 +30,7 @@ from lerobot_demohlm.hardware.limits import Ages, Limits
 from lerobot_demohlm.hardware.link import DOMAIN, check_interface
 from lerobot_demohlm.hardware.priority import CONTROL, HELPERS, hurry
 from lerobot_demohlm.hardware.records import Mode
+from lerobot_demohlm.hardware.single import ControllerLock
 from lerobot_demohlm.hardware.slots import Reading
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
@@ -109,6 +110,7 @@ class Deployment:
 
     def __init__(self, settings: DeploymentSettings) -> None:
         self.settings = settings
+        self._lock_on_robot = ControllerLock(settings.interface, settings.domain)  # before any port is opened
         memory = Path("/dev/shm")
         self.folder = Path(tempfile.mkdtemp(prefix="demohlm-", dir=memory if memory.is_dir() else None))
         self.processes: dict[str, BaseProcess] = {}
@@ -239,6 +241,7 @@ class Deployment:
                 process.join(5.0)
         self._write_facts()
         shutil.rmtree(self.folder, ignore_errors=True)
+        self._lock_on_robot.release()
 
     def _names(self) -> list[str]:
         settings = self.settings
@@ -315,9 +318,9 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
         from lerobot_demohlm.hardware.control_process import ControlProcess, ControlSettings
 
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
-        parent = os.getppid()
+        parent = multiprocessing.parent_process()
         while not (folder / _GO).exists():  # it is loaded, but sends nothing before all others are ready
-            if os.getppid() != parent:
+            if parent is not None and not parent.is_alive():
                 raise SystemExit(1)
             time.sleep(0.01)
         hurry(CONTROL)
