@@ -26,6 +26,7 @@ class Options:
         servo_port: Serial port of neck and grippers.
         root: Directory of the record; must not exist.
         domain: Of DDS; a real robot's is 0.
+        controller: Name, path or hash of the whole-body controller.
         device: Where the policy runs, such as "cuda".
         tags: JSON file of which tag is where on which object, for apriltag.
         camera: Camera of LeRobot as JSON, such as {"type": "intelrealsense", "serial_number_or_name": "..."}.
@@ -42,6 +43,7 @@ class Options:
     servo_port: Annotated[str | None, default("none")] = None
     root: Annotated[Path | None, default("no record")] = None
     domain: int = 0
+    controller: str = "default"
     device: str = "cpu"
     tags: Annotated[Path | None, default("none")] = None
     camera: Annotated[str | None, default("none")] = None
@@ -57,6 +59,7 @@ def run(options: Options) -> None:
     Raises:
         DemoHLMError: Something was refused; nothing has moved.
     """
+    from gym_demohlm.control import controllers
     from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
     from lerobot_demohlm.hardware.errors import RobotError
     from lerobot_demohlm.hardware.operator_inputs import Gamepad
@@ -72,6 +75,7 @@ def run(options: Options) -> None:
         root=options.root,
         domain=options.domain,
         device=options.device,
+        weights=controllers.find(options.controller),
         tags=options.tags,
         camera=options.camera or "",
     )

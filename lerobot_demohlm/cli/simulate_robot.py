@@ -24,6 +24,7 @@ class Options:
         noise: Sensor noise, as a share of the usual one.
         own_controller: Name of the robot's own controller that runs at first, for a rehearsal of releasing it.
         gantry_s: Time for which its joints must be held before the gantry lets go [s].
+        controller: Name, path or hash of the controller whose physics the robot has.
         num_episodes: Starts after which it ends; 0 for never.
     """
 
@@ -37,6 +38,7 @@ class Options:
     noise: float = 1.0
     own_controller: Annotated[str | None, default("none")] = None
     gantry_s: float = 3.5
+    controller: str = "default"
     num_episodes: int = 0
 
 
@@ -56,6 +58,7 @@ def run(options: Options) -> None:
         noise=options.noise,
         own_controller=options.own_controller or "",
         gantry_s=options.gantry_s,
+        controller=options.controller,
         episodes=options.num_episodes,
     )
     print(json.dumps({"event": "end", **run(settings)}))

@@ -19,7 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gym_demohlm.control import command
+from gym_demohlm.control import command, controllers
+from gym_demohlm.control.proprioception import Proprioception
+from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot.hands import GRIPPER
@@ -64,6 +66,7 @@ class SimulatedSettings:
         gantry_s: How long the joints must be held before the gantry lets go [s].
         own_controller: Name of the robot's own controller that runs at first, see ``motion_switcher``.
         episodes: After which it ends; 0 for never.
+        controller: Whose physics the robot has, see ``gym_demohlm.control.controllers``.
     """
 
     task: str
@@ -77,21 +80,19 @@ class SimulatedSettings:
     gantry_s: float = 3.5
     own_controller: str = ""
     episodes: int = 0
+    controller: str = controllers.DEFAULT
 
 
 _NOISE_Q, _NOISE_DQ, _NOISE_GYRO = 0.0005, 0.02, 0.01
 
 
-class _Remote:
-    """What ``Simulation`` takes for its controller: the real one is at the other end of the network."""
+class _Remote(WholeBodyController):
+    """What ``Simulation`` takes for its controller: it brings its physics; the one that acts is across the network."""
 
-    def __init__(self) -> None:
-        self.state = np.zeros((1, 1))
-
-    def reset(self, worlds: np.ndarray, sensed: Any) -> None:  # noqa: ANN401
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
         """Do nothing."""
 
-    def step(self, sensed: Any, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:  # noqa: ANN401
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Return targets that nobody reads."""
         return np.zeros((1, NUM_JOINTS))
 
@@ -178,7 +179,7 @@ class SimulatedG1:
         self._pushed: set[Fault] = set()
         self._last_command = 0.0
         self._gaps: list[float] = []
-        self.sim = Simulation(task, controller=_Remote(), pool=self)
+        self.sim = Simulation(task, controller=_Remote(1, controllers.find(settings.controller)), pool=self)
         self._judge = Judge(self.sim)
         self._hang()
 
