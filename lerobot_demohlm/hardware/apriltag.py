@@ -20,7 +20,7 @@ from gym_demohlm.perception.camera import T_OPTICAL_CAMERA
 from gym_demohlm.robot.neck import CAMERA_FOVY
 from gym_demohlm.task import Task
 from lerobot_demohlm.hardware.errors import RobotError
-from lerobot_demohlm.hardware.pose_process import Look
+from lerobot_demohlm.hardware.look import Look
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.hardware import records, world_topic
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import DOMAIN, WORLD, Link
+from lerobot_demohlm.hardware.look import Look
 
 SOURCES = ("exact", "rgbd", "remote", "apriltag")
 PERIOD_S = 0.04
@@ -66,23 +67,6 @@ class PoseSettings:
             raise UnknownNameError("pose source", self.source, SOURCES)
         if self.source == "apriltag" and self.tags is None:
             raise RobotError("apriltag without tags", "a file that says where tags are", "give --tags")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """One look at the objects.
-
-    Attributes:
-        T_camera_object: (k, 4, 4) in the frame ``head_camera``.
-        valid: (k,) whether each was seen.
-        age_s: (k,) since each was seen [s].
-        time_ns: When the robot looked (``time.monotonic_ns``).
-    """
-
-    T_camera_object: np.ndarray
-    valid: np.ndarray
-    age_s: np.ndarray
-    time_ns: int
 
 
 Source = Callable[[], Look | None]
