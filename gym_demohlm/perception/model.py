@@ -11,7 +11,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.perception.error_model import HIDDEN, Channel, ErrorModel, fitted_path, read_model
 from gym_demohlm.perception.estimate import PERCEPTION_STREAM, UNSEEN, PoseEstimate
-from gym_demohlm.perception.perceiver import ExactPerceiver
+from gym_demohlm.perception.exact import ExactPerceiver
 from gym_demohlm.perception.visibility import Visibility
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task

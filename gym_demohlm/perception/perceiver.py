@@ -5,16 +5,11 @@ measure and tracks the objects in it. ``apriltag`` looks for tags on them. ``rem
 ``PoseEstimate``, from which an observation and the gaze are made.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from gym_demohlm import poses
-from gym_demohlm.perception.equivalents import nearest_equivalent
-from gym_demohlm.perception.estimate import Perceiver, PoseEstimate
+from gym_demohlm.perception.estimate import Perceiver
+from gym_demohlm.perception.exact import ExactPerceiver
 from gym_demohlm.perception.settings import PerceptionSettings
-from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 
 
@@ -58,27 +53,3 @@ def _source(settings: PerceptionSettings, task: Task, num_worlds: int) -> Percei
     from gym_demohlm.perception.remote import RemotePerceiver
 
     return RemotePerceiver(task, num_worlds, settings)
-
-
-class ExactPerceiver:
-    """Says where objects are; its observation has the bits of ``observation.environment_state``."""
-
-    def begin(self, rows: np.ndarray, seeds: Sequence[int]) -> None:
-        """Do nothing: it remembers nothing."""
-
-    def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
-        """Return the exact poses in some worlds (n,)."""
-        T_world_camera = sim.pose("head_camera")
-        T_camera_world = poses.invert(T_world_camera)
-        columns = [
-            T_camera_world @ nearest_equivalent(sim.pose(entry.name), entry, T_world_camera)
-            for entry in sim.task.objects
-        ]
-        T = np.stack(columns, axis=1)[rows]
-        shape = T.shape[:2]
-        return PoseEstimate(
-            T_camera_object=T, valid=np.ones(shape, bool), age_s=np.zeros(shape), inliers=np.ones(shape)
-        )
-
-    def close(self) -> None:
-        """Do nothing: it holds nothing."""

@@ -9,8 +9,9 @@ from tqdm import tqdm
 from gym_demohlm.perception.error_fit import ErrorTrack, fit_model, pose_errors
 from gym_demohlm.perception.error_model import ErrorModel
 from gym_demohlm.perception.estimate import Perceiver
+from gym_demohlm.perception.exact import ExactPerceiver
 from gym_demohlm.perception.model import ModelPerceiver
-from gym_demohlm.perception.perceiver import ExactPerceiver, make_perceiver
+from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.visibility import Visibility
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task

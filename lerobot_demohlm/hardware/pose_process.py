@@ -18,7 +18,8 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.errors import UnknownNameError
-from gym_demohlm.perception.perceiver import PoseEstimate, make_perceiver
+from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gym_demohlm.control import attitude, features
-from gym_demohlm.perception.perceiver import PoseEstimate
+from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.robot import g1
 
 _WAIST = slice(len(g1.LEG_JOINTS), len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS))
