@@ -32,7 +32,7 @@ class GenerationRequest:
         controller: Name, path or hash of the whole-body controller; a dataset names it by its hash.
         variation: How attempts differ from plain ones. By default their commands carry noise, as policies learn best
             from such data.
-        cameras: What is drawn of successful attempts, such as head:96x96:rgb,depth; nothing by default.
+        cameras: Pictures of successful attempts, as head:96x96:rgb,depth; none by default.
         light: By how much each episode's lights differ in pictures, from 0 to about 1.
         texture: The same for the colours of what is not tracked.
         camera_shift: The same for the head camera's place; 1 is 1 cm and 2 degrees.
