@@ -34,7 +34,7 @@ from lerobot_demohlm.hardware.single import ControllerLock
 from lerobot_demohlm.hardware.slots import Reading
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
-READY_S = 180.0  # that processes may take to load
+READY_S = 600.0  # that processes may take to load
 OPERATOR_S = 0.05  # between signs of life of the operator
 FACTS = "deployment.json"
 _GO = "go"  # a file: everything but the controller is ready
