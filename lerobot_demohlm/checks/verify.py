@@ -30,6 +30,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
