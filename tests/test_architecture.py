@@ -18,7 +18,7 @@ ORDER = {
     ),
     "lerobot_demohlm": (
         "reproducibility", "drawing", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation",
-        "teleop", "adoption", "devices", "experiments", "reports", "quickstart", "benchmarks", "cli",
+        "hardware", "teleop", "adoption", "devices", "experiments", "reports", "quickstart", "benchmarks", "cli",
     ),
 }  # fmt: skip
 """Rooms of each package from the ground up: a module imports from rooms that come before its own, or from its own."""

@@ -18,12 +18,14 @@ BY_HAND = {
     "atheris": {"lerobot_demohlm/benchmarks/fuzz_loaders.py"},
     "holosoma_inference": {"gym_demohlm/wbc/evaluation/peer.py"},
     "playwright": {"lerobot_demohlm/benchmarks/teleoperation.py"},
+    "pyrealsense2": {"lerobot_demohlm/hardware/apriltag.py"},
     "onnxruntime": {"gym_demohlm/wbc/evaluation/peer.py"},
 }
 """Modules that only these files import, and whose docstring or error says how to install them."""
 EXTRAS = {
     "wbc": ("gym_demohlm/wbc/",),
     "ray": ("lerobot_demohlm/generation/ray_workers.py",),
+    "g1": ("lerobot_demohlm/hardware/",),
 }
 """Where an extra's modules may be imported."""
 

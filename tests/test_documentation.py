@@ -14,6 +14,7 @@ MIB = 2**20
 NOT_RUN = {
     "controller.md": "training and measuring a controller takes hours; tests/gym_demohlm/wbc does both in small",
     "results.md": "the commands that made the committed results, most of which took hours",
+    "deployment.md": "they wait for a person or a robot; tests of hardware run them with a simulated one",
     "teleoperation.md": "they wait for a person; tests of teleop/web and devices run them with an emulated one",
     "cli.md": "the help of every verb: tests/lerobot_demohlm/cli compares it",
 }

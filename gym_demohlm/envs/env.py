@@ -12,6 +12,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.envs.rendering import Window
 from gym_demohlm.errors import CommandError, UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.task import DEFAULT_REGION
@@ -29,7 +30,7 @@ class DemoHLMEnv(gym.Env):
         render_mode: None, "rgb_array" (the overview camera) or "human" (a window).
         region: Initial region from which ``reset`` draws.
         controller: For one world, or its name, path or hash (`demohlm controllers`); the default one by default.
-        perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
+        perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
         variation: How the world differs from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
     Attributes:
@@ -49,7 +50,7 @@ class DemoHLMEnv(gym.Env):
         render_mode: str | None = None,
         region: str = DEFAULT_REGION,
         controller: Controller | str | None = None,
-        perception: str = EXACT,
+        perception: str | PerceptionSettings = EXACT,
         variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
@@ -105,6 +106,10 @@ class DemoHLMEnv(gym.Env):
             bool(transition.truncated[0]),
             self._info(),
         )
+
+    def perception_faults(self) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in this episode, by its reason."""
+        return self._episodes.perception_faults()
 
     def render(self) -> np.ndarray | None:
         """Return an image (480, 640, 3) uint8 of the overview camera, or None where a window shows it."""

@@ -18,6 +18,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
 from gym_demohlm.task import InitialState, Task
@@ -26,6 +27,7 @@ from gym_demohlm.variation import get_variation
 
 if TYPE_CHECKING:
     from gym_demohlm.perception.sight import Sight
+    from gym_demohlm.perception.small_pictures import SmallPictures
 
 EXACT = "exact"
 OBSERVATION_TYPES = ("state", "pixels_agent_pos")
@@ -58,7 +60,9 @@ class RunningEpisodes:
         num_threads: Threads of the physics.
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         controller: For these worlds, or its name, path or hash; the default one by default.
-        perception: How objects are seen: "exact", or "rgbd" for a tracker of a simulated depth camera's images.
+        perception: How objects are seen, such as "exact", or "rgbd" for a tracker of a simulated depth camera's
+            images; see ``gym_demohlm.perception.settings``.
+        image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
         variation: How worlds differ: "none", "real" or "hard" (docs/variation.md).
 
     Raises:
@@ -72,7 +76,8 @@ class RunningEpisodes:
         num_threads: int = 1,
         obs_type: str = "state",
         controller: Controller | str | None = None,
-        perception: str = EXACT,
+        perception: str | PerceptionSettings = EXACT,
+        image_size: tuple[int, int] = (WIDTH, HEIGHT),
         variation: str = "none",
     ) -> None:
         if obs_type not in OBSERVATION_TYPES:
@@ -85,12 +90,15 @@ class RunningEpisodes:
         self._steps = np.zeros(num_worlds, dtype=np.int64)
         self._judge = Judge(self.sim)
         self._clipped = np.zeros(num_worlds, dtype=np.int64)
+        self._image_size = image_size
+        self._small: SmallPictures | None = None
         self._strict = np.zeros(num_worlds, dtype=bool)
         self._sight: Sight | None = None
-        if perception != EXACT:
+        settings = PerceptionSettings.read(perception)
+        if not settings.is_exact:
             from gym_demohlm.perception import sight  # loads OpenCV and SciPy
 
-            self._sight = sight.Sight(self.sim, perception)
+            self._sight = sight.Sight(self.sim, settings)
 
     def reset(self, initial_states: Sequence[InitialState], worlds: np.ndarray | None = None) -> Sequence[InitialState]:
         """Begin new episodes in some worlds, all by default; one initial state each.
@@ -156,6 +164,10 @@ class RunningEpisodes:
             "clipped": self._clipped.copy(),
         }
 
+    def perception_faults(self, world: int = 0) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in a world's episode, by its reason."""
+        return {} if self._sight is None else self._sight.faults(world)
+
     def observe(self) -> Observation:
         """Return the observations of all worlds, new arrays with one row a world."""
         seen: Observation = {
@@ -165,7 +177,7 @@ class RunningEpisodes:
             ),
         }
         if self.obs_type == "pixels_agent_pos":
-            images = [self.render(world, "head") for world in range(self.sim.num_worlds)]
+            images = [self._head_image(world) for world in range(self.sim.num_worlds)]
             seen["pixels"] = {"head": np.stack(images)}
         return seen
 
@@ -173,11 +185,23 @@ class RunningEpisodes:
         """Return an image (480, 640, 3) uint8 of a world."""
         return self._renderer.render(self.sim.mj_data(world), camera)
 
+    def _head_image(self, world: int) -> np.ndarray:
+        """Return what a world's head camera sees (height, width, 3) uint8."""
+        if self._image_size == (WIDTH, HEIGHT):
+            return self.render(world, "head")
+        if self._small is None:
+            from gym_demohlm.perception.small_pictures import SmallPictures  # loads a graphics library
+
+            self._small = SmallPictures(self.sim, self._image_size)
+        return self._small.rgb(world)
+
     def close(self) -> None:
         """Stop the threads and give the graphics context back."""
         self._renderer.close()
         if self._sight is not None:
             self._sight.close()
+        if self._small is not None:
+            self._small.close()
         self.sim.close()
 
 
@@ -186,14 +210,14 @@ def max_episode_steps(task: Task) -> int:
     return max(1, round(task.episode_length_s / STEP_DT))
 
 
-def observation_space(task: Task, obs_type: str) -> gym.spaces.Dict:
+def observation_space(task: Task, obs_type: str, image_size: tuple[int, int] = (WIDTH, HEIGHT)) -> gym.spaces.Dict:
     """Return the observation space of one world."""
     spaces: dict[str, gym.Space] = {
         "agent_pos": _unbounded(len(observation.STATE_NAMES)),
         "environment_state": _unbounded(observation.OBJECT_SIZE * len(task.objects)),
     }
     if obs_type == "pixels_agent_pos":
-        image = gym.spaces.Box(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+        image = gym.spaces.Box(0, 255, (image_size[1], image_size[0], 3), np.uint8)
         spaces["pixels"] = gym.spaces.Dict({"head": image})
     return gym.spaces.Dict(spaces)
 

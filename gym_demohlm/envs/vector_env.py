@@ -15,7 +15,9 @@ from gymnasium.vector.utils import batch_space
 
 from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
 from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import SceneError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.task import DEFAULT_REGION, InitialState
@@ -35,7 +37,8 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         autoreset_mode: SAME_STEP begins the next episode in the step that ended one; DISABLED leaves a world whose
             episode ended as it is, at no cost, until ``reset``.
         controller: For N worlds, or its name, path or hash (`demohlm controllers`); the default one by default.
-        perception: How observation and gaze see objects: "exact", or "rgbd" (docs/perception.md).
+        perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
+        image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
         variation: How worlds differ from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
     Raises:
@@ -55,7 +58,8 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
         controller: Controller | str | None = None,
-        perception: str = EXACT,
+        perception: str | PerceptionSettings = EXACT,
+        image_size: tuple[int, int] = (WIDTH, HEIGHT),
         variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
@@ -67,11 +71,14 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
         self.task, self.task_description = definition.name, definition.description
         self.region = definition.region(region).name
-        self.single_observation_space = observation_space(definition, obs_type)
+        self.perception = str(PerceptionSettings.read(perception))
+        self.single_observation_space = observation_space(definition, obs_type, image_size)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes = RunningEpisodes(definition, num_envs, num_threads, obs_type, controller, perception, variation)
+        self._episodes = RunningEpisodes(
+            definition, num_envs, num_threads, obs_type, controller, perception, image_size, variation
+        )
         self._max_episode_steps = self._episodes.max_steps
         self._mode = autoreset_mode
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
@@ -146,6 +153,10 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
     def render(self) -> tuple[np.ndarray, ...]:
         """Return an image (480, 640, 3) uint8 of the overview camera for each world."""
         return tuple(self._episodes.render(world) for world in range(self.num_envs))
+
+    def perception_faults(self, world: int = 0) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in a world's episode, by its reason."""
+        return self._episodes.perception_faults(world)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:  # noqa: ANN401
         """Return an attribute, or what a method returns, once a world, as ``SyncVectorEnv`` does."""

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gym_demohlm.perception.perceiver import PoseEstimate, make_perceiver
+from gym_demohlm.perception.estimate import PoseEstimate, faults_of
+from gym_demohlm.perception.perceiver import make_perceiver
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState
 
@@ -19,15 +21,15 @@ class Sight:
 
     Args:
         sim: The worlds.
-        source: See ``make_perceiver``.
+        settings: See ``make_perceiver``.
 
     Raises:
         UnknownNameError: There is no such source.
     """
 
-    def __init__(self, sim: Simulation, source: str) -> None:
+    def __init__(self, sim: Simulation, settings: str | PerceptionSettings) -> None:
         self._sim = sim
-        self._perceiver = make_perceiver(source, sim.task, sim.num_worlds)
+        self._perceiver = make_perceiver(settings, sim.task, sim.num_worlds)
         shape = sim.num_worlds, len(sim.task.objects)
         self._estimate = PoseEstimate(
             T_camera_object=np.tile(np.eye(4), (*shape, 1, 1)),
@@ -59,6 +61,10 @@ class Sight:
     def environment_state(self) -> np.ndarray:
         """Return the observation of all worlds (N, 9k) float32."""
         return self._estimate.environment_state()
+
+    def faults(self, row: int) -> dict[str, int]:
+        """Return how often what went wrong with the eyes in the episode of a world, by its reason."""
+        return faults_of(self._perceiver, row)
 
     def close(self) -> None:
         """Give back what the perceiver holds."""

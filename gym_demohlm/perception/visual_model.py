@@ -79,6 +79,7 @@ class VisualModel:
         model: The compiled scene; it is copied.
         intrinsics: The camera; the head's D435 by default.
         cell: See ``cluster_vertices``; 0 keeps all vertices.
+        camera: Name of the camera in the scene.
 
     Attributes:
         model: The copy that is drawn.
@@ -89,7 +90,9 @@ class VisualModel:
         SceneError: This machine has nothing to draw with, or the image is larger than the scene's image buffer.
     """
 
-    def __init__(self, model: mujoco.MjModel, intrinsics: Intrinsics | None = None, cell: float = CELL) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, intrinsics: Intrinsics | None = None, cell: float = CELL, camera: str = "head"
+    ) -> None:
         self.intrinsics = intrinsics or head_intrinsics()
         self.model = copy.copy(model)
         self.data = mujoco.MjData(self.model)
@@ -102,7 +105,7 @@ class VisualModel:
         self._radius = np.where(self.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, np.inf, self.model.geom_rbound)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-        self._camera.fixedcamid = self.model.camera("head").id
+        self._camera.fixedcamid = self.model.camera(camera).id
         self._option = mujoco.MjvOption()
         self._scene = mujoco.MjvScene(self.model, _MAX_GEOMS)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):

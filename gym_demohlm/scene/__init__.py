@@ -3,3 +3,4 @@
 from gym_demohlm.scene.scene import Scene as Scene
 from gym_demohlm.scene.scene import aim_overview as aim_overview
 from gym_demohlm.scene.scene import build_scene as build_scene
+from gym_demohlm.scene.scene import scene_spec as scene_spec

@@ -373,8 +373,13 @@ class Scene:
 
 
 def build_scene(task: Task, physics: Physics | None = None, variation: Variation = NONE) -> Scene:
-    """Build and compile the scene of a task; arguments as ``Scene``."""
+    """Build and compile the scene of a task, whose worlds may differ as a variation says; arguments as ``Scene``."""
     return Scene(task, physics, variation)
+
+
+def scene_spec(task: Task) -> mujoco.MjSpec:
+    """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
+    return _build_spec(task, None)
 
 
 def _without_noslip(model: mujoco.MjModel) -> mujoco.MjModel:

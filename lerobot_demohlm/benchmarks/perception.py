@@ -16,13 +16,14 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception import camera, fit
+from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.perception.meshes import ObjectMesh, object_meshes
-from gym_demohlm.perception.perceiver import PoseEstimate, RgbdPerceiver, RgbdSettings
+from gym_demohlm.perception.rgbd import RgbdPerceiver, RgbdSettings
 from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import ObjectSpec, Task
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.reports.gallery import Snapshot, generated_take
+from lerobot_demohlm.reports.films import Snapshot, generated_take
 
 SEEN = 0.2  # an object of which less is visible may be lost
 _FOUND_AGAIN_S = 0.5

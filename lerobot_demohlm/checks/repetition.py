@@ -1,6 +1,6 @@
 """Stored episodes and a simulation -> their first differences: simulated from their commands, or generated again."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,18 +17,25 @@ from lerobot_demohlm.reproducibility import fingerprint
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 
 
-def compare(sim: Simulation, episodes: Sequence[StoredEpisode], bounded: bool = False) -> list[Difference | None]:
+def compare(
+    sim: Simulation,
+    episodes: Sequence[StoredEpisode],
+    bounded: bool = False,
+    watch: Callable[[Simulation], None] = lambda sim: None,
+) -> list[Difference | None]:
     """Repeat episodes as worlds of one simulation, each until it ends or differs.
 
     Args:
         sim: With at least as many worlds.
         episodes: Of its task, with fingerprints.
         bounded: Whether to go on after a difference, and to measure the deviation of the whole episode.
+        watch: Called with the simulation at the start and after every step.
 
     Returns:
         The first difference of each, None where every bit agrees.
     """
     sim.reset([entry.initial_state for entry in episodes], np.arange(len(episodes)))
+    watch(sim)
     before = sim.snapshot()
     checks = [_Check(sim.task, entry, world, before, bounded) for world, entry in enumerate(episodes)]
     for step in range(max(len(entry) for entry in episodes)):
@@ -42,6 +49,7 @@ def compare(sim: Simulation, episodes: Sequence[StoredEpisode], bounded: bool = 
         active[going] = True
         commands[going] = [episodes[world].commands[step] for world in going]
         sim.step(commands, active)
+        watch(sim)
         after, success = sim.snapshot(), sim.success()
         for world in going:
             checks[world].after(step, after, success)

@@ -32,8 +32,10 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import BOUNDS, Difference
+from lerobot_demohlm.checks.pictures import PictureCheck
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
+from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.facts import installed_versions, read_facts
 from lerobot_demohlm.datasets.reader import StoredEpisode
 from lerobot_demohlm.datasets.variation import DataVariation
@@ -124,14 +126,6 @@ def mismatches(facts: dict[str, Any], task: Task, controller: str | None = None)
     )
 
 
-def _variation(facts: Sequence[dict[str, Any]]) -> str:
-    """Return how the worlds of a dataset's runs differ."""
-    names = sorted({DataVariation.read(run).variation for run in facts})
-    if len(names) != 1:
-        raise DatasetError(f"runs of the variations {', '.join(names)}", "one variation", "verify them one by one")
-    return names[0]
-
-
 def _same(name: str, then: object, now: str) -> bool:
     return then == now or (name == "cpu" and isinstance(then, str) and provenance.kind_of_processor(then) == now)
 
@@ -192,7 +186,6 @@ def verify(
         demonstration=demonstration,
         controller=controller,
         bounded=bool(other_versions),
-        variation=_variation(facts),
     )
     with tqdm(total=len(chosen), desc="verify", unit="episode", disable=not show_progress) as bar:
         for batch, found in zip(batches, _run(request, task, batches, num_workers), strict=True):
@@ -219,7 +212,6 @@ class _Request:
         demonstration: Directory of the demonstration; None for the packaged one.
         controller: Name, path or hash of a controller; None for the one that each episode was generated with.
         bounded: Whether to go on after a difference and measure how far the episode deviates.
-        variation: How its worlds differ.
     """
 
     root: Path
@@ -228,7 +220,6 @@ class _Request:
     demonstration: Path | None
     controller: str | None = None
     bounded: bool = False
-    variation: str = "none"
 
 
 class _Bench:
@@ -242,7 +233,7 @@ class _Bench:
 
     def __init__(self, request: _Request, task: Task, num_worlds: int) -> None:
         self._request, self._task, self._num_worlds = request, task, num_worlds
-        self._sims: dict[str, Simulation] = {}  # by controller
+        self._sims: dict[tuple[str, str], Simulation] = {}  # by controller and variation
 
     def check(self, batch: Sequence[int]) -> list[Difference]:
         """Check the episodes of one batch; returns the first difference of each that has one, by episode."""
@@ -250,10 +241,28 @@ class _Bench:
         entries, found = reader.read(root, batch), []
         edited = [entry for entry in entries if entry.fingerprints is None]
         for facts, whole in self._by_run([entry for entry in entries if entry.fingerprints is not None]):
-            found += compare(self._sim(facts), whole, bounded)
+            found += self._repeat(self._sim(facts), whole, bounded)
         for facts, again in self._by_run(edited):
             found += self._generate(facts, again)
         return sorted((each for each in found if each is not None), key=lambda each: each.episode)
+
+    def _repeat(self, sim: Simulation, entries: Sequence[StoredEpisode], bounded: bool) -> list[Difference | None]:
+        """Simulate episodes again, and draw them again where the dataset has pictures."""
+        check = self._pictures
+        if check is None:
+            return compare(sim, entries, bounded)
+        check.recorder.clear()
+        found = compare(sim, entries, bounded, check.recorder)
+        if all(each is None for each in found):  # else the states are not those of the pictures
+            found += check.compare(entries)
+        return found
+
+    @functools.cached_property
+    def _pictures(self) -> PictureCheck | None:
+        root = self._request.root
+        if origin.is_edited(root) or not PictureFacts.read(read_facts(root)).cameras:
+            return None
+        return PictureCheck(root, self._task, read_facts(root))
 
     def _by_run(self, entries: Sequence[StoredEpisode]) -> list[tuple[dict[str, Any], list[StoredEpisode]]]:
         """Return the facts of each run that episodes come from, and these episodes."""
@@ -268,10 +277,11 @@ class _Bench:
 
     def _sim(self, facts: dict[str, Any]) -> Simulation:
         name = self._request.controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT
-        if name not in self._sims:
-            variation = get_variation(self._request.variation)
-            self._sims[name] = Simulation(self._task, self._num_worlds, controller=name, variation=variation)
-        return self._sims[name]
+        key = name, DataVariation.read(facts).variation
+        if key not in self._sims:
+            varied = get_variation(key[1])
+            self._sims[key] = Simulation(self._task, self._num_worlds, controller=name, variation=varied)
+        return self._sims[key]
 
     def _generate(self, facts: dict[str, Any], entries: Sequence[StoredEpisode]) -> list[Difference | None]:
         """Generate edited episodes of one run again, side by side."""

@@ -15,7 +15,11 @@ from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 INTERRUPTED = 130  # exit code of a process that was stopped from the keyboard
 SHELLS = ("bash", "zsh")
-EXTRAS = {"rsl_rl": "wbc", "tensordict": "wbc", "warp": "wbc", "mujoco_warp": "wbc", "ray": "ray"}
+EXTRAS = {
+    **dict.fromkeys(("rsl_rl", "tensordict", "warp", "mujoco_warp"), "wbc"),
+    **dict.fromkeys(("cyclonedds", "dynamixel_sdk", "serial"), "g1"),
+    "ray": "ray",
+}
 """Modules that come with an extra of the distribution."""
 
 

@@ -4,8 +4,14 @@ from typing import Literal
 
 Policy = Literal["mlp", "act", "diffusion"]
 """Of ``policies.presets.POLICIES``."""
-Preset = Literal["paper", "cpu"]
+Preset = Literal["paper", "cpu", "vision-cpu", "vision-paper"]
 """Of ``policies.presets.NAMES``."""
+Perception = Literal["exact", "model", "rgbd", "apriltag", "remote"]
+"""Of ``gym_demohlm.perception.settings.SOURCES``."""
+Masks = Literal["oracle", "color", "server"]
+"""Of ``gym_demohlm.perception.settings.MASKS``."""
+Backend = Literal["tracker"]
+"""Of ``gym_demohlm.perception.pose_server.BACKENDS``."""
 Table = Literal["main", "architectures", "regions"]
 """Of ``experiments.plan.TABLES``."""
 Variant = Literal["plain", "noise", "starts", "stances", "noise_stances"]

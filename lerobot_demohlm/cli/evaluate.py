@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.cli.choices import Masks, Perception
 from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
 from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting, load_policy
@@ -31,6 +33,17 @@ class Options:
         controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
         output: File for the JSON lines, one a rollout; where it exists, the rollouts in it are kept.
         device: Where the policy runs, such as "cuda".
+        perception: How the policy and the neck see objects: exactly, with a fitted error, by a tracker of a drawn depth
+            camera's images, by tags, or by a pose server.
+        masks: Which pixels are an object's, for `rgbd` and `remote`: the renderer's with rough edges, those of its
+            colours, or left to the server.
+        camera_error: Angle by which the camera is mounted otherwise than the robot knows [degrees]; with each degree go
+            5 mm and 0.5 % of focal length.
+        mesh_scale: Size of the known meshes over that of the objects.
+        bias_mm: Distance by which each episode tells each object elsewhere [mm].
+        latency_s: Age of the poses [s], in steps of 0.1 s.
+        dropout: Share of frames from which no pose comes.
+        address: Of the pose server, for `remote`.
     """
 
     policy: Path
@@ -45,6 +58,14 @@ class Options:
     controller: str = "default"
     output: Annotated[Path | None, default("none")] = None
     device: str = "cpu"
+    perception: Perception = "exact"
+    masks: Masks = "oracle"
+    camera_error: float = 0.0
+    mesh_scale: float = 1.0
+    bias_mm: float = 0.0
+    latency_s: float = 0.0
+    dropout: float = 0.0
+    address: str = "tcp://127.0.0.1:5570"
 
 
 def run(options: Options) -> None:
@@ -63,6 +84,8 @@ def run(options: Options) -> None:
             "at least one episode and a seed of 0 or more",
             "correct them",
         )
+    names = ("masks", "camera_error", "mesh_scale", "bias_mm", "latency_s", "dropout", "address")
+    perception = PerceptionSettings(source=options.perception, **{name: getattr(options, name) for name in names})
     setting = Setting(
         task=options.task,
         region=options.region,
@@ -71,6 +94,7 @@ def run(options: Options) -> None:
         num_threads=options.num_threads,
         num_workers=options.num_workers,
         controller=options.controller,
+        perception=str(perception),
     )
     torch.set_num_threads(1)
     loaded = load_policy(options.policy, options.task, options.device)
@@ -78,6 +102,8 @@ def run(options: Options) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         rollouts = evaluate(loaded, setting, seeds, options.output or Path(scratch) / "rollouts.jsonl")
     facts = {"task": get_task(options.task).name, "region": options.region}
+    if not perception.is_exact:
+        facts["perception"] = str(perception)
     if options.variation != "none":
         facts["variation"] = options.variation
     print(json.dumps({**facts, **summarize(rollouts)}))

@@ -17,7 +17,7 @@ class Options:
     """Options of ``demohlm explain``.
 
     Attributes:
-        root: Dataset of `demohlm generate`, or ROOT.partial while it is being made.
+        root: Dataset of `demohlm generate`, or ROOT.partial while it is being made; or record of `demohlm deploy`.
         attempt: Explain this attempt, failed or not.
         episode: Explain the attempt that is this episode of the dataset.
         output: HTML file; must not exist.
@@ -40,11 +40,17 @@ def run(options: Options) -> None:
     from gym_demohlm.registry import get_task
     from lerobot_demohlm.datasets import reader
     from lerobot_demohlm.reports.explain import explain_attempt, explain_run, pages, read_run
+    from lerobot_demohlm.reports.explain.deployment_page import explain_deployment, is_deployment
 
     pages.require_new(options.output)
     task = None if options.task is None else get_task(options.task)
     short: dict[str, Any]
     attempt = options.attempt
+    if is_deployment(options.root):
+        page, short = explain_deployment(options.root)
+        pages.write(options.output, page)
+        print(json.dumps({"page": str(options.output), **short}))
+        return
     if options.episode is not None:
         attempt = reader.attempt_of(options.root, options.episode)
     if attempt is None:

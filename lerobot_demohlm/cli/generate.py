@@ -37,6 +37,7 @@ class Options(GenerationRequest):
     demonstration: Annotated[Path | None, default("the packaged one")] = None
     repo_id: Annotated[str | None, default("made from task and region")] = None
     variation: tyro.conf.OmitArgPrefixes[DataVariation] = field(default_factory=DataVariation)
+    cameras: Annotated[tuple[str, ...] | None, default("no pictures")] = None
     block_size: tyro.conf.Suppress[tyro.conf.Fixed[int]] = BLOCK_SIZE
     show_progress: tyro.conf.Suppress[tyro.conf.Fixed[bool]] = True
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-GROUPS = ("begin here", "demonstrations", "data", "policies", "checks", "reports", "benchmarks", "training")
+GROUPS = ("begin here", "demonstrations", "data", "policies", "robot", "checks", "reports", "benchmarks", "training")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +112,24 @@ VERBS = (
         group="policies",
         help="run what is missing of one of the paper's tables: generate, train, roll out",
         example="demohlm reproduce --table main --budget-hours 3 --num-workers 2",
+    ),
+    Verb(
+        name="deploy",
+        group="robot",
+        help="have a policy drive a G1, real or simulated, at the other end of a network",
+        example="demohlm deploy --policy outputs/lift_box/pretrained_model --task LiftBox --interface lo",
+    ),
+    Verb(
+        name="simulate-robot",
+        group="robot",
+        help="be a G1 in MuJoCo that speaks the robot's own protocol, with faults on request",
+        example="demohlm simulate-robot --task LiftBox --interface lo",
+    ),
+    Verb(
+        name="robot-check",
+        group="robot",
+        help="listen to a robot and say what a deployment would refuse; nothing is sent to its motors",
+        example="demohlm robot-check --interface enp2s0",
     ),
     Verb(
         name="verify",
@@ -249,6 +267,18 @@ VERBS = (
         example="demohlm benchmark teleoperation --seconds 60",
     ),
     Verb(
+        name="benchmark deployment",
+        group="benchmarks",
+        help="measure the way to a simulated robot: rates, ages, answers to kills and faults, success",
+        example="demohlm benchmark deployment --part link --seconds 60",
+    ),
+    Verb(
+        name="benchmark perception",
+        group="benchmarks",
+        help="measure a policy's success against bias, latency and loss of its poses, camera errors and mesh scale",
+        example="demohlm benchmark perception --figure curves.png",
+    ),
+    Verb(
         name="benchmark perturbed",
         group="benchmarks",
         help="measure generation from demonstrations of operators who are late, tremble, pause and lose tracking",
@@ -259,6 +289,18 @@ VERBS = (
         group="benchmarks",
         help="probe what generation makes of worlds that vary, one group of factors at a time",
         example="demohlm benchmark variation --tasks LiftBox --variations real:objects real:pushes",
+    ),
+    Verb(
+        name="pose-server",
+        group="policies",
+        help="serve object poses to environments with perception=remote, from the pictures that they send",
+        example="demohlm pose-server --backend tracker",
+    ),
+    Verb(
+        name="fit-perception",
+        group="training",
+        help="fit the error model of perception=model to what the tracker makes of drawn pictures",
+        example="demohlm fit-perception --task LiftBox --num-episodes 2 --num-checks 1 --output lift_box.json",
     ),
     Verb(
         name="train-controller",

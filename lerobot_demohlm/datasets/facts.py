@@ -36,6 +36,7 @@ from typing import Any
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.simulation.judge import OUTCOMES
+from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.reproducibility import provenance
 
@@ -86,6 +87,8 @@ class GenerationFacts:
         block_size: Attempts in a block, which one worker computes and finalizes at once.
         keep_failures: Whether failed attempts become a second dataset.
         variation: How attempts differ from plain ones.
+        pictures: What is drawn of the successful attempts; nothing by default.
+        wordings: Whether episodes have the task's sentence in several wordings.
         versions: Versions of what decides bits; those of this installation unless given.
         format_version: Of the files.
 
@@ -105,6 +108,8 @@ class GenerationFacts:
     block_size: int
     keep_failures: bool
     variation: DataVariation
+    pictures: PictureFacts = field(default_factory=PictureFacts)
+    wordings: bool = False
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
@@ -123,7 +128,10 @@ class GenerationFacts:
         content: dict[str, Any] = {}
         for entry in fields(self):
             value = getattr(self, entry.name)
-            content |= value.content() if isinstance(value, DataVariation) else {entry.name: copy.deepcopy(value)}
+            if entry.name == "wordings" and not value:
+                continue  # as facts were before there was a choice
+            flat = isinstance(value, DataVariation | PictureFacts)
+            content |= value.content() if flat else {entry.name: copy.deepcopy(value)}
         return content
 
     @classmethod
@@ -133,11 +141,17 @@ class GenerationFacts:
         Raises:
             DatasetError: A fact is missing.
         """
-        names = [entry.name for entry in fields(cls) if entry.name != "variation"]
+        optional = "variation", "pictures", "wordings"
+        names = [entry.name for entry in fields(cls) if entry.name not in optional]
         missing = [name for name in names if name not in content]
         if missing:
             raise DatasetError(f"facts without {', '.join(missing)}", "the facts of a run", "generate it again")
-        return cls(**{name: content[name] for name in names}, variation=DataVariation.read(content))
+        return cls(
+            **{name: content[name] for name in names},
+            variation=DataVariation.read(content),
+            pictures=PictureFacts.read(content),
+            wordings=bool(content.get("wordings", False)),
+        )
 
 
 def require_new_root(root: Path) -> None:

@@ -5,6 +5,7 @@ for each: minutes for a thousand episodes. ``tests/lerobot_demohlm/datasets/test
 fails where a later LeRobot merges otherwise.
 """
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,15 @@ import pyarrow.parquet as pq
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.compute_stats import aggregate_stats
 from lerobot.datasets.io_utils import load_info, load_stats, load_tasks, write_info, write_stats
+from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.timing import FPS
+from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.episode import Episode, executed_of
 from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.pictures import DrawnBlock, DrawnEpisode, is_drawn, is_video, video_file, write_modality
 from lerobot_demohlm.datasets.writer import NEXT_SUCCESS, data_file, episodes_file, read_arrays, write_dataset
 from lerobot_demohlm.reproducibility import fingerprint
 
@@ -33,7 +37,7 @@ def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], 
     episodes = [
         Episode(
             task=facts.task,
-            task_text=facts.task_text,
+            task_text=label["tasks"][0],
             index=record["attempt"],
             seed=facts.seed,
             region=facts.region,
@@ -53,8 +57,36 @@ def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], 
         )
         for record, arrays, label in zip(records, read_arrays(source), labels, strict=False)
     ]
-    write_dataset(root, "local/block", episodes, facts)
+    write_dataset(root, "local/block", episodes, facts, _first_drawn(source, root, labels, episodes))
     return root
+
+
+def _first_drawn(
+    source: Path, root: Path, labels: Sequence[dict[str, Any]], episodes: Sequence[Episode]
+) -> DrawnBlock | None:
+    """Return the pictures of the first episodes of a dataset, cut out of its videos; None where it has none."""
+    table = {key: feature for key, feature in load_info(source).features.items() if is_drawn(key, feature)}
+    if not table:
+        return None
+    video_keys = [key for key, feature in table.items() if is_video(feature)]
+    num_frames = sum(len(episode.success) for episode in episodes)
+    files = {key: root.with_name(f"{root.name}-{key}.mp4") for key in video_keys}
+    for key, path in files.items():
+        videos.cut(source / video_file(key, 0, 0), path, num_frames)
+    drawn, start = [], 0
+    for episode, arrays, label in zip(episodes, read_arrays(source), labels, strict=False):
+        stats = {
+            key: {name: np.array(label[f"stats/{key}/{name}"]) for name in _names_of_stats(label, key)}
+            for key in video_keys
+        }
+        columns = {key: arrays[key] for key in table if key not in video_keys}
+        drawn.append(DrawnEpisode(columns=columns, stats=stats, start=start))
+        start += len(episode.success)
+    return DrawnBlock(features=table, episodes=drawn, files=files)
+
+
+def _names_of_stats(label: dict[str, Any], key: str) -> list[str]:
+    return [name.removeprefix(f"stats/{key}/") for name in label if name.startswith(f"stats/{key}/")]
 
 
 def merge(
@@ -74,8 +106,9 @@ def merge(
         file_size_mb: A data file that has grown beyond this is followed by a new one; LeRobot's size by default.
     """
     first = load_info(parts[0])
+    video_keys = [key for key, feature in first.features.items() if is_video(feature)]
     meta = LeRobotDatasetMetadata.create(
-        repo_id, first.fps, first.features, robot_type=first.robot_type, root=root, use_videos=False
+        repo_id, first.fps, first.features, robot_type=first.robot_type, root=root, use_videos=bool(video_keys)
     )
     limit = (file_size_mb or meta.info.data_files_size_in_mb) * 2**20
     tasks = load_tasks(parts[0])
@@ -96,7 +129,8 @@ def merge(
         episodes, frames = meta.info.total_episodes, meta.info.total_frames
         for group in range(source.num_row_groups):
             writers[-1].write_table(_shifted(source.read_row_group(group), episodes, frames))
-        rows.append(_shifted_rows(pq.read_table(part / episodes_file(0)), episodes, frames, len(writers) - 1))
+        table = _shifted_rows(pq.read_table(part / episodes_file(0)), episodes, frames, len(writers) - 1)
+        rows.append(_with_videos(table, part, root, done - 1, video_keys))
         stats.append(load_stats(part))
         meta.info.total_episodes += info.total_episodes
         meta.info.total_frames += info.total_frames
@@ -107,9 +141,21 @@ def merge(
     meta.info.total_tasks = len(tasks)
     meta.info.splits = {"train": f"0:{meta.info.total_episodes}"}
     write_info(meta.info, root)
+    if video_keys:
+        write_modality(root, meta.features)
     merged_stats = aggregate_stats(stats)
     write_stats({key: merged_stats[key] for key in meta.features}, root)  # LeRobot's order changes with the hash seed
     LeRobotDataset(repo_id, root=root)  # opens, or the merge is not handed over
+
+
+def _with_videos(table: pa.Table, part: Path, root: Path, index: int, keys: Sequence[str]) -> pa.Table:
+    """Copy a part's videos as one more file of each, and return its episodes' rows, which say where they are."""
+    chunk, file = divmod(index, DEFAULT_CHUNK_SIZE)
+    for key in keys:
+        shutil.copyfile(part / video_file(key, 0, 0), _with_folder(root, video_file(key, chunk, file)))
+        for name, value in (("chunk_index", chunk), ("file_index", file)):
+            table = _replaced(table, f"videos/{key}/{name}", np.full(len(table), value))
+    return table
 
 
 def _with_folder(root: Path, relative: Path) -> Path:

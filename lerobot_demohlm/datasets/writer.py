@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.datasets.compute_stats import aggregate_stats
 from lerobot.datasets.feature_utils import get_hf_features_from_features
-from lerobot.datasets.io_utils import write_info, write_stats
+from lerobot.datasets.io_utils import load_tasks, write_info, write_stats
 from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE, DEFAULT_DATA_PATH, DEFAULT_EPISODES_PATH
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
@@ -27,7 +27,9 @@ from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets import origin
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import ROBOT_TYPE, GenerationFacts, require_new_root
+from lerobot_demohlm.datasets.pictures import DrawnBlock, is_video, write_modality
 from lerobot_demohlm.datasets.statistics import episode_stats
+from lerobot_demohlm.datasets.wordings import wordings
 
 NEXT_SUCCESS = "next.success"
 
@@ -62,7 +64,13 @@ def features(task: str) -> dict[str, dict[str, Any]]:
     return table
 
 
-def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode], facts: GenerationFacts | None = None) -> None:
+def write_dataset(
+    root: Path,
+    repo_id: str,
+    episodes: Sequence[Episode],
+    facts: GenerationFacts | None = None,
+    drawn: DrawnBlock | None = None,
+) -> None:
     """Write episodes as one finalized LeRobot v3 dataset with one data file.
 
     The content equals what ``LeRobotDataset.add_frame`` and ``save_episode`` write (a test compares them), without
@@ -73,31 +81,39 @@ def write_dataset(root: Path, repo_id: str, episodes: Sequence[Episode], facts: 
         repo_id: Name of the dataset on the hub, ``user/name``.
         episodes: One or more, of one task, each with frames.
         facts: Of their run, which each episode then names as its origin; none by default.
+        drawn: Pictures of the episodes; none by default.
     """
     require_new_root(root)
     if not episodes or any(len(episode.success) == 0 for episode in episodes):
         raise DatasetError("no episode, or one without frames", "one or more episodes with frames", "leave it out")
-    meta = LeRobotDatasetMetadata.create(
-        repo_id, FPS, features(episodes[0].task), robot_type=ROBOT_TYPE, root=root, use_videos=False
-    )
+    table = features(episodes[0].task) | dict({} if drawn is None else drawn.features)
+    with_videos = any(is_video(feature) for feature in table.values())
+    meta = LeRobotDatasetMetadata.create(repo_id, FPS, table, robot_type=ROBOT_TYPE, root=root, use_videos=with_videos)
     schema = get_hf_features_from_features(meta.features).arrow_schema
+    sentences = list(wordings(get_task(episodes[0].task)))
     rows: list[dict[str, Any]] = []
     stats: list[dict[str, dict[str, np.ndarray]]] = []
     for path in (data_file(0), episodes_file(0)):
         (root / path).parent.mkdir(parents=True)
     with pq.ParquetWriter(root / data_file(0), schema=schema, compression="snappy", use_dictionary=True) as writer:
         for episode_index, episode in enumerate(episodes):
-            meta.save_episode_tasks([episode.task_text])
+            meta.save_episode_tasks([episode.task_text] if facts is None or not facts.wordings else sentences)
             start, length = meta.info.total_frames, len(episode.success)
             columns = _columns(episode, episode_index, start, meta.get_task_index(episode.task_text))
+            if drawn is not None:
+                columns |= drawn.episodes[episode_index].columns
             writer.write_table(_arrow_table(columns, schema))  # one row group an episode, as LeRobot's writer
-            stats.append(episode_stats(columns))
-            rows.append(_episode_row(episode, episode_index, start, stats[-1], facts))
+            stats.append(episode_stats(columns) | ({} if drawn is None else drawn.episodes[episode_index].stats))
+            row = _episode_row(episode, episode_index, start, stats[-1], facts)
+            rows.append(row if drawn is None else row | drawn.row(episode_index, length))
             meta.info.total_frames += length
     pq.write_table(pa.Table.from_pylist(rows), root / episodes_file(0), compression="snappy")
-    meta.info.total_episodes, meta.info.total_tasks = len(rows), len({episode.task_text for episode in episodes})
+    meta.info.total_episodes, meta.info.total_tasks = len(rows), len(load_tasks(root))
     meta.info.splits = {"train": f"0:{len(rows)}"}
     write_info(meta.info, root)
+    if drawn is not None:
+        drawn.store(root)
+        write_modality(root, meta.features)
     merged = functools.reduce(lambda so_far, new: aggregate_stats([so_far, new]), stats)  # one by one, as LeRobot
     write_stats({key: merged[key] for key in meta.features}, root)  # LeRobot's order changes with the hash seed
 

@@ -1,9 +1,9 @@
-"""LeRobot's interface of a robot <-> a G1 in a simulated world: 68 numbers seen, 23 sent."""
+"""LeRobot's interface of a robot <-> a G1 in a simulated world, or on a network: 68 numbers seen, 23 sent."""
 
 import functools
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from lerobot.robots.robot import Robot
@@ -14,6 +14,9 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.devices import live
 from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
 from lerobot_demohlm.teleop.clutch import WALK_SPEED
+
+if TYPE_CHECKING:
+    from lerobot_demohlm.devices.dds import DdsRobot
 
 _STICKS = {"remote.ly": (0, 1.0), "remote.lx": (1, -1.0), "remote.rx": (2, -1.0)}  # of LeRobot's unitree_g1
 
@@ -37,7 +40,7 @@ class DemoHLMG1(Robot):
         super().__init__(config)
         self.config, self.task = config, get_task(config.task)
         self.cameras: dict[str, Any] = {}
-        self._world: live.LiveWorld | None = None
+        self._world: live.LiveWorld | DdsRobot | None = None
         self._last = command.rest()
         self._unhook: Callable[[], None] = lambda: None
 
@@ -61,19 +64,24 @@ class DemoHLMG1(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """A simulated robot is."""
+        """Whether it needs no calibration: it never does."""
         return True
 
     def connect(self, calibrate: bool = True) -> None:
-        """Make the world; the robot stands where an operator takes over."""
+        """Make the world, in which the robot stands where an operator takes over; or have a robot stand and run."""
         config = self.config
         if self._world is not None:
             raise DeviceError("a second connection", "one", "disconnect first")
-        by_clock = config.pace == "clock"
-        self._world = live.LiveWorld(self.task, config.region, config.seed, config.spread, by_clock=by_clock)
+        if config.backend == "dds":
+            from lerobot_demohlm.devices.dds import DdsRobot  # needs the extra g1
+
+            self._world = DdsRobot(config, self.task)
+        else:
+            by_clock = config.pace == "clock"
+            self._world = live.LiveWorld(self.task, config.region, config.seed, config.spread, by_clock=by_clock)
+            live.set_current(self._world)
         self._last = command.rest()
         self._unhook = _on_new_episode(self.reset)
-        live.set_current(self._world)
 
     def calibrate(self) -> None:
         """Do nothing: there is nothing to calibrate."""
@@ -119,14 +127,14 @@ class DemoHLMG1(Robot):
         return dict(zip(command.NAMES, wanted.tolist(), strict=True))
 
     def disconnect(self) -> None:
-        """End the world."""
+        """End the world; a robot brakes its motors."""
         world = self._connected()
         self._unhook()
         live.set_current(None)
         self._world = None
         world.close()
 
-    def _connected(self) -> live.LiveWorld:
+    def _connected(self) -> "live.LiveWorld | DdsRobot":
         if self._world is None:
             raise DeviceError("a robot that is not connected", "connect() first", "connect it")
         return self._world

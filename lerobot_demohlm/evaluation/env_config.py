@@ -17,6 +17,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.envs.episode import OBSERVATION_TYPES
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import environment_id, get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
 from gym_demohlm.variation import get_variation
@@ -35,11 +36,11 @@ class DemoHLMEnvConfig(EnvConfig):
     region: str = DEFAULT_REGION
     """Initial region: R1, R2 or R3."""
     perception: str = "exact"
-    """How observation and gaze see objects: exact, or rgbd for a tracker of a simulated depth camera's images."""
-    variation: str = "none"
-    """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
+    """How observation and gaze see objects, such as exact, model, or rgbd,masks=color: see docs/perception.md."""
     controller: str = DEFAULT
     """Whole-body controller: its name, path or hash, as `demohlm controllers` lists them."""
+    variation: str = "none"
+    """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
     render_mode: str = "rgb_array"
@@ -50,8 +51,9 @@ class DemoHLMEnvConfig(EnvConfig):
         """Check the names and fill the feature tables from the environment's."""
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
-        get_variation(self.variation)
         find(self.controller)
+        self.perception = str(PerceptionSettings.read(self.perception))
+        get_variation(self.variation)
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -89,8 +91,8 @@ class DemoHLMEnvConfig(EnvConfig):
             "render_mode": self.render_mode,
             "region": self.region,
             "perception": self.perception,
-            "variation": self.variation,
             "controller": self.controller,
+            "variation": self.variation,
         }
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:

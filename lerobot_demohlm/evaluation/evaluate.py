@@ -53,6 +53,7 @@ def evaluate(
     header = {
         "task": get_task(setting.task).name,
         "region": setting.region,
+        "perception": setting.perception,
         "variation": setting.variation,
         "policy": loaded.kind,
         "policy_hash": loaded.hash,

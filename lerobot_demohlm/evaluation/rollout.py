@@ -1,7 +1,7 @@
 """One rollout of a policy as a record: the line that ``demohlm evaluate`` writes and that reports and tables read."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from gym_demohlm.simulation.judge import OUTCOMES
 
@@ -26,6 +26,8 @@ class Rollout:
         outcome: How the episode ended, one of ``OUTCOMES``.
         length_s: Simulated time [s].
         clipped: Numbers in commands that were outside their bounds.
+        perception: How objects were seen, see ``gym_demohlm.perception.settings``.
+        perception_faults: How often what went wrong with a pose server, by its reason.
         initial_state: Where the episode began: "robot" (x [m], y [m], yaw [rad]) in the world, "object" (y [m],
             z [m], yaw [rad]) as differences from the task's layout, and the conditions of its world.
         variation: How worlds differed.
@@ -44,6 +46,8 @@ class Rollout:
     outcome: str
     length_s: float
     clipped: int = 0
+    perception: str = "exact"
+    perception_faults: Mapping[str, int] = field(default_factory=dict)
     initial_state: Mapping[str, list[float]]
     variation: str = "none"
     success_strict: bool | None = None

@@ -19,8 +19,10 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.control.controllers import DEFAULT
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import PolicyError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
 from gym_demohlm.variation import get_variation
@@ -102,7 +104,7 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
     env_config = DemoHLMEnvConfig(task=task, obs_type="pixels_agent_pos")
     known = env_to_policy_features(env_config)
     for key, feature in {**(config.input_features or {}), **(config.output_features or {})}.items():
-        if key not in known or tuple(feature.shape) != tuple(known[key].shape):
+        if key not in known or not _fits(key, tuple(feature.shape), tuple(known[key].shape)):
             offered = f"{key} {known[key].shape}" if key in known else f"one of {', '.join(known)}"
             raise PolicyError(f"a policy with {key} {feature.shape}", offered, f"train it on a dataset of {task}")
     policy = get_policy_class(config.type).from_pretrained(path, config=config)
@@ -123,6 +125,11 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
         train_seed=trained.get("seed"),
         needs_images=bool(config.image_features),
     )
+
+
+def _fits(key: str, shape: tuple[int, ...], offered: tuple[int, ...]) -> bool:
+    """Tell whether the environment can give a policy a feature; it draws pictures of any size."""
+    return shape == offered or (key.startswith("observation.images.") and len(shape) == 3 and shape[0] == offered[0])
 
 
 def _training(path: Path) -> dict[str, Any]:
@@ -152,9 +159,9 @@ class Setting:
         num_worlds: Episodes rolled out together in a process.
         num_threads: Threads of the physics in a process.
         num_workers: Processes; more than one for a policy on the CPU only.
-        perception: How observation and gaze see objects: "exact" or "rgbd".
-        variation: How worlds differ: "none", "real" or "hard".
+        perception: How observation and gaze see objects, see ``gym_demohlm.perception.settings``.
         controller: Name, path or hash of the whole-body controller.
+        variation: How worlds differ: "none", "real" or "hard".
     """
 
     task: str
@@ -163,12 +170,13 @@ class Setting:
     num_threads: int = 1
     num_workers: int = 1
     perception: str = "exact"
-    variation: str = "none"
     controller: str = DEFAULT
+    variation: str = "none"
 
     def __post_init__(self) -> None:
         """Check names and counts."""
         get_task(self.task).region(self.region)
+        object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
         get_variation(self.variation)
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
@@ -251,13 +259,21 @@ def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
         num_envs=setting.num_worlds,
         task=get_task(setting.task).name,
         obs_type="pixels_agent_pos" if loaded.needs_images else "state",
+        image_size=_image_size(loaded),
         region=setting.region,
         perception=setting.perception,
-        variation=setting.variation,
         controller=setting.controller,
+        variation=setting.variation,
         num_threads=setting.num_threads,
         autoreset_mode=AutoresetMode.DISABLED,
     )
+
+
+def _image_size(loaded: LoadedPolicy) -> tuple[int, int]:
+    """Return the width and height [px] of the pictures that a policy was trained on."""
+    for feature in loaded.policy.config.image_features.values():
+        return int(feature.shape[2]), int(feature.shape[1])
+    return WIDTH, HEIGHT
 
 
 def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None) -> list[Rollout]:
@@ -278,7 +294,7 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
     if on_step is not None:
         on_step(env, going)
     while going.any():
-        actions = _act(loaded, env, observation)
+        actions = act(loaded, observation, env.task_description)
         observation, _, terminated, truncated, infos = env.step(actions)
         steps += going
         clipped += np.where(going, infos["clipped"], 0)
@@ -303,6 +319,8 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             ),
             length_s=round(int(steps[world]) / env.metadata["render_fps"], 1),
             clipped=int(clipped[world]),
+            perception=env.perception,
+            perception_faults=env.perception_faults(world),
             initial_state=starts[world],
             variation=env.sim.variation.name,
             success_strict=bool(infos["success_strict"][world]),
@@ -311,14 +329,24 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
     ]
 
 
-def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any]) -> np.ndarray:
-    """Return the policy's commands (N, 23) for the observations of all worlds."""
+def act(loaded: LoadedPolicy, observation: dict[str, Any], description: str) -> np.ndarray:
+    """Return the policy's commands (N, 23) for the observations of N worlds.
+
+    Args:
+        loaded: The policy; what it has still to carry out of its last chunks is its own memory.
+        observation: As an environment gives it: "agent_pos" (N, 68), "environment_state" (N, 9k), "pixels".
+        description: The task in words.
+
+    Raises:
+        PolicyError: The policy gives something else.
+    """
     import torch
     from lerobot.envs import preprocess_observation
     from lerobot.utils.constants import ACTION
 
+    count = len(observation["agent_pos"])
     batch: dict[str, Any] = preprocess_observation(observation)
-    batch["task"] = [env.task_description] * env.num_envs
+    batch["task"] = [description] * count
     config = loaded.policy.config
     kind = torch.device(str(config.device)).type
     precision = torch.autocast(kind) if config.use_amp else nullcontext()  # as lerobot-eval
@@ -327,8 +355,8 @@ def _act(loaded: LoadedPolicy, env: DemoHLMVectorEnv, observation: dict[str, Any
         actions = loaded.postprocessor(loaded.policy.select_action(batch))
         actions = loaded.env_postprocessor({ACTION: actions})[ACTION]
     array = actions.to("cpu", torch.float32).numpy()
-    if array.shape != (env.num_envs, command.SIZE):
-        raise PolicyError(f"actions {array.shape}", f"({env.num_envs}, {command.SIZE})", "use a policy of this task")
+    if array.shape != (count, command.SIZE):
+        raise PolicyError(f"actions {array.shape}", f"({count}, {command.SIZE})", "use a policy of this task")
     return array
 
 

@@ -18,12 +18,15 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import GenerationFacts, read_records
+
+if TYPE_CHECKING:
+    from lerobot_demohlm.datasets.pictures import DrawnBlock
 
 MANIFEST = "block.json"
 RECORDS = "attempts.jsonl"
@@ -47,7 +50,13 @@ def block_directory(directory: Path, attempts: range) -> Path:
     return directory / "blocks" / f"{attempts.start:07d}"
 
 
-def write_block(directory: Path, facts: GenerationFacts, attempts: range, episodes: Sequence[Episode]) -> None:
+def write_block(
+    directory: Path,
+    facts: GenerationFacts,
+    attempts: range,
+    episodes: Sequence[Episode],
+    drawn: "DrawnBlock | None" = None,
+) -> None:
     """Write the attempts of one block; safe to call from any process, and again for a block that is there.
 
     Args:
@@ -55,6 +64,7 @@ def write_block(directory: Path, facts: GenerationFacts, attempts: range, episod
         facts: The run's.
         attempts: Indices of the attempts, as ``pending_blocks`` gave them.
         episodes: One an attempt, in their order, failed ones included.
+        drawn: Pictures of the successful ones.
     """
     if [episode.index for episode in episodes] != list(attempts):
         raise DatasetError(
@@ -69,7 +79,8 @@ def write_block(directory: Path, facts: GenerationFacts, attempts: range, episod
             if chosen:
                 from lerobot_demohlm.datasets import writer  # takes seconds, and not every process writes
 
-                writer.write_dataset(temporary / name, "local/block", chosen, facts)
+                pictures = drawn if name == "episodes" else None
+                writer.write_dataset(temporary / name, "local/block", chosen, facts, pictures)
         (temporary / MANIFEST).write_text(json.dumps(_manifest(temporary, facts, attempts), indent=2) + "\n")
 
 

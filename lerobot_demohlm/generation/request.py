@@ -32,6 +32,11 @@ class GenerationRequest:
         controller: Name, path or hash of the whole-body controller; a dataset names it by its hash.
         variation: How attempts differ from plain ones. By default their commands carry noise, as policies learn best
             from such data.
+        cameras: What is drawn of successful attempts, such as head:96x96:rgb,depth; nothing by default.
+        light: By how much each episode's lights differ in pictures, from 0 to about 1.
+        texture: The same for the colours of what is not tracked.
+        camera_shift: The same for the head camera's place; 1 is 1 cm and 2 degrees.
+        wordings: Tell the task to policies in several wordings, one an episode.
         show_progress: Draw a progress bar on stderr.
     """
 
@@ -50,6 +55,11 @@ class GenerationRequest:
     block_size: int = BLOCK_SIZE
     controller: str = DEFAULT
     variation: DataVariation = field(default_factory=DataVariation)
+    cameras: tuple[str, ...] | None = None
+    light: float = 0.0
+    texture: float = 0.0
+    camera_shift: float = 0.0
+    wordings: bool = False
     show_progress: bool = True
 
 

@@ -7,12 +7,14 @@ may be killed, and another makes its block again.
 
 import functools
 import importlib
+import tempfile
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
@@ -20,7 +22,9 @@ from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
+from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions
+from lerobot_demohlm.datasets.wordings import wordings
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
@@ -31,6 +35,9 @@ from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.reproducibility import provenance
+
+if TYPE_CHECKING:
+    from lerobot_demohlm.generation.painting import Painter, StateRecorder
 
 MAX_DEATHS = 3  # of workers at one block, before the run gives up
 
@@ -57,6 +64,11 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     demonstration = demonstrations.load(request.demonstration, task)
     segment(demonstration, task)  # fails now rather than in a worker
     weights = controllers.load(request.controller)
+    pictures = PictureFacts.of(request.cameras or (), request.light, request.texture, request.camera_shift)
+    if pictures.cameras:
+        from lerobot_demohlm.generation.painting import Painter  # loads a graphics library
+
+        Painter(task, pictures).close()  # fails now where there is nothing to draw with
     facts = GenerationFacts(
         task=task.name,
         task_text=task.description,
@@ -70,6 +82,8 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         block_size=request.block_size,
         keep_failures=request.keep_failures,
         variation=request.variation,
+        pictures=pictures,
+        wordings=request.wordings,
     )
     repo_id = request.repo_id or f"demohlm/{task.slug}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
@@ -152,7 +166,32 @@ class BlockMaker:
 
     def __call__(self, directory: Path, attempts: range) -> None:
         """Make attempts and write their block into a run's directory."""
-        write_block(directory, self.facts, attempts, self._attempts.run(attempts))
+        if self._recorder is not None:
+            self._recorder.clear()
+        episodes = self._attempts.run(attempts)
+        if self.facts.wordings:
+            known = wordings(get_task(self.facts.task))
+            episodes = [replace(episode, task_text=known[episode.index % len(known)]) for episode in episodes]
+        if self._recorder is None:
+            write_block(directory, self.facts, attempts, episodes)
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            drawn = self._painter.paint(episodes, self._recorder, Path(folder))
+            write_block(directory, self.facts, attempts, episodes, drawn)
+
+    @functools.cached_property
+    def _recorder(self) -> "StateRecorder | None":
+        if not self.facts.pictures.cameras:
+            return None
+        from lerobot_demohlm.generation.painting import StateRecorder
+
+        return StateRecorder()
+
+    @functools.cached_property
+    def _painter(self) -> "Painter":
+        from lerobot_demohlm.generation.painting import Painter
+
+        return Painter(get_task(self.facts.task), self.facts.pictures)
 
     @functools.cached_property
     def _attempts(self) -> Attempts:
@@ -174,6 +213,7 @@ class BlockMaker:
             facts.seed,
             facts.block_size,
             Settings(variation=facts.variation),
+            on_step=self._recorder,
             controller=self.controller,
         )
 

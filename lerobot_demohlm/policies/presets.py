@@ -1,10 +1,12 @@
 """The name of a policy and of a preset -> LeRobot's training configuration: the paper's hyperparameters, or a CPU's.
 
 ``paper`` is the paper's appendix. What it does not say, or what LeRobot's policies cannot do, is marked at its place.
-``cpu`` is smaller: a task trains in about a quarter of an hour on a core, or less. All of a preset is here and nowhere
-else.
+``cpu`` is smaller: a task trains in about a quarter of an hour on a core, or less. ``vision-cpu`` and ``vision-paper``
+see pictures and the robot's state, but not where objects are; the latter is for a GPU, and not the paper's. All of a
+preset is here and nowhere else.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from gym_demohlm.errors import PolicyError, UnknownNameError
 
 if TYPE_CHECKING:  # importing them takes seconds, which `demohlm --help` does not have
-    from lerobot.configs import PreTrainedConfig
+    from lerobot.configs import PolicyFeature, PreTrainedConfig
     from lerobot.configs.train import TrainPipelineConfig
 
 CHUNK = {"chunk_size": 20, "n_action_steps": 10}
@@ -31,6 +33,7 @@ class Preset:
         options: Fields of the policy's configuration.
         cosine: Whether the learning rate falls to zero after a warmup of a twentieth of the steps.
         bfloat16: Fields of the policy's configuration that are set where the processor has instructions for bfloat16.
+        sees: Whether it is given pictures instead of the objects' poses.
     """
 
     type: str
@@ -39,6 +42,7 @@ class Preset:
     options: Mapping[str, Any] = field(default_factory=dict)
     cosine: bool = False
     bfloat16: Mapping[str, Any] = field(default_factory=dict)
+    sees: bool = False
 
 
 _MEAN_STD = {"normalization_mapping": {"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
@@ -139,6 +143,43 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
         cosine=True,
         bfloat16={"use_amp": True},
     ),
+    ("mlp", "vision-cpu"): Preset(
+        type="chunked_mlp",
+        batch_size=64,
+        steps=10_000,
+        options={**CHUNK, "hidden_dims": [512, 512], "crop": 0.08, "optimizer_lr": 5e-4},
+        cosine=True,
+        sees=True,
+    ),
+    ("act", "vision-paper"): Preset(
+        type="act",
+        batch_size=64,
+        steps=100_000,
+        options={
+            **CHUNK,
+            "normalization_mapping": {"STATE": "MEAN_STD", "VISUAL": "MEAN_STD", "ACTION": "MEAN_STD"},
+            "pretrained_backbone_weights": None,  # nothing is downloaded
+            "optimizer_lr": 5e-5,
+        },
+        sees=True,
+    ),
+    ("diffusion", "vision-paper"): Preset(
+        type="diffusion",
+        batch_size=64,
+        steps=100_000,
+        options={
+            "normalization_mapping": {"STATE": "MIN_MAX", "VISUAL": "MEAN_STD", "ACTION": "MIN_MAX"},
+            **_TO_THE_END,
+            "n_obs_steps": 1,
+            "horizon": 24,
+            "n_action_steps": 10,
+            "down_dims": (256, 512, 1024),
+            "crop_ratio": 0.9,
+            "optimizer_lr": 1e-4,
+        },
+        cosine=True,
+        sees=True,
+    ),
 }
 POLICIES = tuple(dict.fromkeys(policy for policy, _ in PRESETS))
 NAMES = tuple(dict.fromkeys(name for _, name in PRESETS))
@@ -149,15 +190,52 @@ def get_preset(policy: str, name: str) -> Preset:
 
     Args:
         policy: "mlp", "act" or "diffusion".
-        name: "paper" or "cpu".
+        name: One of ``NAMES``.
 
     Raises:
-        UnknownNameError: No such policy or preset.
+        UnknownNameError: No such policy or preset, or the policy has no such preset.
     """
     for kind, got, known in (("policy", policy, POLICIES), ("preset", name, NAMES)):
         if got not in known:
             raise UnknownNameError(kind, got, known)
+    if (policy, name) not in PRESETS:
+        raise UnknownNameError(f"preset of {policy}", name, [preset for kind, preset in PRESETS if kind == policy])
     return PRESETS[policy, name]
+
+
+def input_features(dataset_root: Path, sees: bool) -> "dict[str, PolicyFeature] | None":
+    """Return what a policy is given of a dataset; None for all there is, as of a dataset without pictures.
+
+    Args:
+        dataset_root: The dataset.
+        sees: Whether it is given colour pictures and the robot's state, or poses and the robot's state.
+
+    Raises:
+        PolicyError: It is to see, and there are no colour pictures.
+    """
+    from lerobot.configs import FeatureType, PolicyFeature
+    from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
+
+    path = dataset_root / "meta" / "info.json"
+    table = json.loads(path.read_text())["features"] if path.is_file() else {}
+    pictures = {key: entry for key, entry in table.items() if entry["dtype"] == "video"}
+    if not pictures and not sees:
+        return None
+    colour = {key: entry for key, entry in pictures.items() if not entry["info"]["is_depth_map"]}
+    if sees and not colour:
+        raise PolicyError(
+            f"{dataset_root} without colour pictures",
+            "a dataset with pictures",
+            "demohlm generate --cameras head:96x96:rgb",
+        )
+    chosen = {OBS_STATE: PolicyFeature(type=FeatureType.STATE, shape=tuple(table[OBS_STATE]["shape"]))}
+    if not sees:
+        chosen[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=tuple(table[OBS_ENV_STATE]["shape"]))
+        return chosen
+    for key, entry in colour.items():
+        height, width, channels = entry["shape"]
+        chosen[key] = PolicyFeature(type=FeatureType.VISUAL, shape=(channels, height, width))
+    return chosen
 
 
 def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTrainedConfig":
@@ -213,10 +291,10 @@ def train_config(
     """Return what ``lerobot-train`` is to be given.
 
     Args:
-        dataset_root: Dataset without images.
+        dataset_root: The dataset; with pictures for the presets that see.
         output: Directory of the training.
         policy: "mlp", "act" or "diffusion".
-        preset: "paper" or "cpu".
+        preset: One of ``NAMES``.
         steps: Training steps; the preset's by default.
         seed: Of the weights and of the order of the samples.
         num_episodes: Train on so many episodes from the first on; on all by default.
@@ -238,6 +316,9 @@ def train_config(
     if steps < 1 or (num_episodes is not None and num_episodes < 1):
         raise PolicyError(f"steps={steps}, num_episodes={num_episodes}", "1 or more", "correct them")
     config = policy_config(chosen, steps, device)
+    given = input_features(dataset_root, chosen.sees)
+    if given is not None:
+        config.input_features = given
     own_schedule = chosen.cosine and chosen.type == "act"
     return TrainPipelineConfig(
         dataset=DatasetConfig(

@@ -55,11 +55,19 @@ class ChunkedMLPConfig(PreTrainedConfig):
     Weights, optimizer and loss are float32 with either, and so is all of a policy that acts.
     """
 
+    cnn_channels: list[int] = field(default_factory=lambda: [32, 64, 64, 64])
+    """Channels of the convolutions that see each camera's picture, each halving its sides; unused without pictures."""
+    cnn_features: int = 64
+    """Numbers that a picture becomes."""
+    crop: float = 0.0
+    """Share of a picture's side that training cuts off at random places, and acting in the middle."""
+
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
             "STATE": NormalizationMode.MEAN_STD,
             "ENV": NormalizationMode.MEAN_STD,  # LeRobot leaves ENV as it is unless it is named
             "ACTION": NormalizationMode.MEAN_STD,
+            "VISUAL": NormalizationMode.MEAN_STD,
         }
     )
 
@@ -86,12 +94,17 @@ class ChunkedMLPConfig(PreTrainedConfig):
                 f"got dropout={self.dropout}, std_floor={self.std_floor}, input_clip={self.input_clip}; "
                 "expected 0 <= dropout < 1 and the others above 0; correct them"
             )
+        if not self.cnn_channels or min(self.cnn_channels) < 1 or self.cnn_features < 1 or not 0 <= self.crop < 0.5:
+            raise ValueError(
+                f"got cnn_channels={self.cnn_channels}, cnn_features={self.cnn_features}, crop={self.crop}; expected "
+                "positive numbers and a crop of 0 to 0.5; correct them"
+            )
         if self.dtype not in DTYPES:
             raise ValueError(f"got dtype={self.dtype!r}; expected one of {', '.join(DTYPES)}; correct --policy.dtype")
 
     def validate_features(self) -> None:
-        """Check that there is a vector to look at and an action to predict."""
-        if self.robot_state_feature is None and self.env_state_feature is None:
+        """Check that there is something to look at and an action to predict."""
+        if self.robot_state_feature is None and self.env_state_feature is None and not self.image_features:
             raise ValueError(
                 f"got inputs {sorted(self.input_features or {})}; expected observation.state or "
                 "observation.environment_state; use a dataset with one of them"

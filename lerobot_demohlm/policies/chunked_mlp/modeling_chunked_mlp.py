@@ -1,4 +1,4 @@
-"""The chunked MLP: robot state and object poses -> the next ``chunk_size`` actions, by one feed-forward network."""
+"""The chunked MLP: robot state, object poses, pictures -> the next ``chunk_size`` actions, by one network."""
 
 from collections import deque
 from typing import Any
@@ -9,6 +9,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor, nn
 
 from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
+from lerobot_demohlm.policies.chunked_mlp.pictures import PictureEncoder, cropped
 
 
 class ChunkedMLPPolicy(PreTrainedPolicy):
@@ -28,6 +29,12 @@ class ChunkedMLPPolicy(PreTrainedPolicy):
         self.config: ChunkedMLPConfig = config
         self.input_keys = [key for key in (OBS_STATE, OBS_ENV_STATE) if key in (config.input_features or {})]
         inputs = sum((config.input_features or {})[key].shape[0] for key in self.input_keys)
+        self.image_keys = sorted(config.image_features)
+        if self.image_keys:
+            self.encoders = nn.ModuleList(
+                PictureEncoder(config.image_features[key].shape[0], config) for key in self.image_keys
+            )
+            inputs += config.cnn_features * len(self.image_keys)
         self.action_dim = (config.output_features or {})[ACTION].shape[0]
         layers: list[nn.Module] = []
         for width in config.hidden_dims:
@@ -51,8 +58,13 @@ class ChunkedMLPPolicy(PreTrainedPolicy):
     def _predict(self, batch: dict[str, Tensor]) -> Tensor:
         """Map normalised observations (B, D) to normalised actions (B, chunk_size, action_dim)."""
         clip = self.config.input_clip
-        inputs = torch.cat([batch[key] for key in self.input_keys], dim=-1).clamp(-clip, clip)
-        return self.model(inputs).unflatten(-1, (self.config.chunk_size, self.action_dim))
+        parts = [batch[key].clamp(-clip, clip) for key in self.input_keys]
+        if self.image_keys:
+            parts += [
+                encoder(cropped(batch[key], self.config.crop, self.training))
+                for key, encoder in zip(self.image_keys, self.encoders, strict=True)
+            ]
+        return self.model(torch.cat(parts, dim=-1)).unflatten(-1, (self.config.chunk_size, self.action_dim))
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
         """Return the loss.

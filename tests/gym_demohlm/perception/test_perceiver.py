@@ -8,7 +8,9 @@ from gym_demohlm import poses
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.perception.equivalents import steady_equivalent
-from gym_demohlm.perception.perceiver import RgbdPerceiver, RgbdSettings, make_perceiver
+from gym_demohlm.perception.perceiver import make_perceiver
+from gym_demohlm.perception.rgbd import RgbdPerceiver, RgbdSettings
+from gym_demohlm.perception.seeing import Mounting
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 
@@ -56,7 +58,7 @@ def test_the_same_seed_sees_the_same_bits_near_the_truth_and_another_seed_others
 
 def test_a_camera_that_is_mounted_otherwise_shifts_what_is_told() -> None:
     _, straight = _watched(RgbdSettings(), 5, 3)
-    _, off = _watched(RgbdSettings(camera_turn=np.radians(2.0)), 5, 3)
+    _, off = _watched(RgbdSettings(mounting=Mounting(camera_turn=np.radians(2.0))), 5, 3)
     distance = 0.9  # m to the cube, about
     assert 0.2 * distance * np.radians(2.0) < np.linalg.norm(off[:3] - straight[:3]) < 1.5 * distance * np.radians(2.0)
 

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from gym_demohlm.perception.pose_server import BACKENDS
+from gym_demohlm.perception.settings import MASKS, SOURCES
 from gym_demohlm.registry import get_task
 from gym_demohlm.wbc.evaluation.peer import PEERS
 from lerobot_demohlm import cli
@@ -140,6 +142,9 @@ def test_choices_are_those_of_the_library() -> None:
         (choices.Table, TABLES),
         (choices.Variant, tuple(VARIANTS)),
         (choices.Peer, tuple(PEERS)),
+        (choices.Perception, SOURCES),
+        (choices.Masks, MASKS),
+        (choices.Backend, tuple(BACKENDS)),
     ):
         assert typing.get_args(chosen) == known
     flags = {flag.name: flag for flag in flags_of(importlib.import_module("lerobot_demohlm.cli.reproduce").Options)}

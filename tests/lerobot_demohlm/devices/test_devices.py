@@ -39,7 +39,9 @@ def test_they_are_registered_by_name() -> None:
 def test_options_are_checked() -> None:
     with pytest.raises(UnknownNameError):
         DemoHLMG1Config(task="LiftBoxes")
-    with pytest.raises(DeviceError, match="backend 'dds'"):
+    with pytest.raises(DeviceError, match="backend 'zmq'"):
+        DemoHLMG1Config(backend="zmq")
+    with pytest.raises(DeviceError, match=r"name it with --robot\.interface"):
         DemoHLMG1Config(backend="dds")
 
 

@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
 
 from gym_demohlm import jsonl
-from gym_demohlm.control import command
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.errors import DatasetError, PolicyError
 from gym_demohlm.registry import get_task, register_task
@@ -20,39 +18,16 @@ from lerobot_demohlm.evaluation import rollouts
 from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, resumed_rollouts, summarize, wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, policy_hash
-from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
-from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
-from lerobot_demohlm.policies.chunked_mlp.processor_chunked_mlp import make_chunked_mlp_pre_post_processors
+from tests.helpers.checkpoints import save_policy
 
 BRIEF = replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)
 TASK = BRIEF.name
-SIZES = {"observation.state": 68, "observation.environment_state": 9, "action": 23}
 
 
 @pytest.fixture(autouse=True)
 def brief_task(known_tasks: None) -> None:
     """Make the brief task known to each test of this file alone."""
     register_task(BRIEF)
-
-
-def save_policy(path: Path, *, state_size: int = 68, scale: float = 0.0) -> Path:
-    """Write the checkpoint of a policy that stands still, or fidgets where it is given weights of a scale."""
-    config = ChunkedMLPConfig(device="cpu", push_to_hub=False, hidden_dims=[16], chunk_size=4, n_action_steps=3)
-    config.input_features = {
-        "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(state_size,)),
-        "observation.environment_state": PolicyFeature(type=FeatureType.ENV, shape=(9,)),
-    }
-    config.output_features = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(23,))}
-    policy = ChunkedMLPPolicy(config)
-    torch.manual_seed(0)
-    for parameter in policy.parameters():
-        torch.nn.init.normal_(parameter, std=scale)
-    stats = {key: {"mean": np.zeros(size), "std": np.ones(size)} for key, size in SIZES.items()}
-    stats["observation.state"] = {"mean": np.zeros(state_size), "std": np.ones(state_size)}
-    stats["action"]["mean"] = command.rest()
-    for part in (policy, *make_chunked_mlp_pre_post_processors(config, stats)):
-        part.save_pretrained(path)
-    return path
 
 
 @pytest.fixture(scope="module")

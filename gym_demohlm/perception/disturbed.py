@@ -1,0 +1,102 @@
+"""Any perceiver -> the same with a bias of an episode, lost frames and latency, for what these alone do to a policy.
+
+What is old is brought to the camera's present place by odometry: a robot knows when a picture was taken. So latency
+does nothing to what rests, and only what moves is told where it was.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.perception.estimate import PERCEPTION_STREAM, Perceiver, PoseEstimate, faults_of
+from gym_demohlm.perception.settings import PerceptionSettings
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.timing import STEP_DT
+
+_TURN_OF_MM = math.radians(0.2)  # a tracker that is off by 5 mm is off by about a degree
+_OWN_STREAM = 1
+
+
+@dataclass
+class _World:
+    """What is remembered of one world.
+
+    Attributes:
+        rng: Of bias and lost frames.
+        bias: Turns (k, 3, 3) and shifts (k, 3) [m] in the frame ``head_camera``; None before the first look.
+        seen: What was seen in the last frames, the oldest first: poses (k, 4, 4) in the world, valid, age, inliers.
+    """
+
+    rng: np.random.Generator
+    bias: tuple[np.ndarray, np.ndarray] | None = None
+    seen: deque[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=deque)
+
+
+class DisturbedPerceiver:
+    """Adds bias, dropout and latency to another perceiver.
+
+    Args:
+        source: Whose estimates are disturbed.
+        settings: ``bias_mm``, ``dropout`` and ``latency_s`` of it are read.
+        num_worlds: N of the simulation.
+    """
+
+    def __init__(self, source: Perceiver, settings: PerceptionSettings, num_worlds: int) -> None:
+        self._source, self._settings = source, settings
+        self._delay = round(settings.latency_s / STEP_DT)
+        self._worlds: list[_World | None] = [None] * num_worlds
+
+    def begin(self, rows: np.ndarray, seeds: Sequence[int]) -> None:
+        """Forget everything about some worlds."""
+        self._source.begin(rows, seeds)
+        for row, seed in zip(rows, seeds, strict=True):
+            self._worlds[row] = _World(rng=np.random.default_rng([PERCEPTION_STREAM, _OWN_STREAM, seed]))
+
+    def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
+        """Look through the other perceiver, and tell what is old, off or nothing new."""
+        now = self._source.observe(sim, rows)
+        T_world_camera = sim.pose("head_camera")[rows]
+        told = []
+        for place, row in enumerate(rows):
+            world = self._worlds[row]
+            if world is None:
+                self.begin(np.array([row]), [int(row)])
+                world = self._worlds[row]
+                assert world is not None
+            if world.bias is None:
+                world.bias = self._draw_bias(world.rng, now.valid.shape[1])
+            lost = world.rng.random() < self._settings.dropout
+            turn, shift = world.bias
+            T = now.T_camera_object[place]
+            T_world_object = T_world_camera[place] @ poses.from_rotation(turn @ T[:, :3, :3], T[:, :3, 3] + shift)
+            new = T_world_object, now.valid[place], now.age_s[place], now.inliers[place]
+            if lost and world.seen:
+                T, valid, age, inliers = world.seen[-1]
+                new = T, np.zeros_like(valid), age + STEP_DT, inliers
+            world.seen.append(new)
+            if len(world.seen) > self._delay + 1:
+                world.seen.popleft()
+            T, valid, age, inliers = world.seen[0]
+            waited = STEP_DT * (len(world.seen) - 1)
+            told.append((poses.invert(T_world_camera[place]) @ T, valid, age + waited, inliers))
+        T, valid, age, inliers = (np.stack(column) for column in zip(*told, strict=True))
+        return PoseEstimate(T_camera_object=T, valid=valid, age_s=age, inliers=inliers)
+
+    def faults(self, row: int) -> dict[str, int]:
+        """Return what went wrong with the other perceiver in the episode of a world."""
+        return faults_of(self._source, row)
+
+    def close(self) -> None:
+        """Close the other perceiver."""
+        self._source.close()
+
+    def _draw_bias(self, rng: np.random.Generator, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bias of an episode, of fixed lengths in random directions; see ``_World``."""
+        axes = rng.standard_normal((2, num_objects, 3))
+        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+        length = self._settings.bias_mm
+        return poses.rotation_from_vector(_TURN_OF_MM * length * axes[0]), 1e-3 * length * axes[1]

@@ -1,0 +1,141 @@
+"""Pictures of other processes -> poses: the server loop, and this project's tracker behind it as the reference."""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+import zmq
+
+from gym_demohlm import poses
+from gym_demohlm.errors import DemoHLMError, SceneError, UnknownNameError
+from gym_demohlm.perception import masks
+from gym_demohlm.perception.camera import Intrinsics, whole
+from gym_demohlm.perception.meshes import ObjectMesh, object_meshes
+from gym_demohlm.perception.rgbd import hand_motions
+from gym_demohlm.perception.tracker import Tracker
+from gym_demohlm.perception.wire import Answer, Request, pack_answers, unpack_request
+from gym_demohlm.registry import get_task
+from gym_demohlm.scene import build_scene
+from gym_demohlm.timing import STEP_DT
+
+_SESSIONS = 256  # episodes that are remembered
+_LEAST_PATCH = 40  # px
+_TURN_MS = 200  # how often a waiting server looks whether it is to stop
+
+
+class Backend(Protocol):
+    """What estimates poses."""
+
+    def __call__(self, request: Request) -> Sequence[Answer]:
+        """Return an answer for each object of the request, in its order."""
+        ...
+
+
+class TrackerBackend:
+    """This project's tracker: one for each object of each session."""
+
+    def __init__(self) -> None:
+        self._meshes: dict[str, tuple[ObjectMesh, ...]] = {}
+        self._sessions: OrderedDict[str, tuple[list[Tracker], dict[str, np.ndarray]]] = OrderedDict()
+
+    def __call__(self, request: Request) -> list[Answer]:
+        """Track the objects in a picture; masks that were not sent are found by colour.
+
+        Raises:
+            UnknownNameError: No such task, or it has no such object.
+        """
+        meshes = self._known(request)
+        height, width = request.depth.shape
+        K = request.K
+        known = Intrinsics(
+            width=width, height=height, focal=float(K[0, 0]), center_u=float(K[0, 2]), center_v=float(K[1, 2])
+        )
+        trackers, hands = self._sessions.pop(request.session, ([], {}))
+        trackers = trackers or [Tracker(mesh, known) for mesh in meshes]
+        found = request.masks or [
+            masks.component_near(masks.color(request.color, mesh.colors), None, _LEAST_PATCH) for mesh in meshes
+        ]
+        answers = []
+        for tracker, mask in zip(trackers, found, strict=True):
+            motions = hand_motions(tracker, hands, request.hands)
+            track = tracker.update(request.depth, mask, whole(known), request.T_odom_optical, STEP_DT, motions)
+            if track is None or not track.valid:
+                answers.append(Answer(T_optical_object=np.eye(4), valid=False, reason="an object that is not seen"))
+            else:
+                T = poses.invert(request.T_odom_optical) @ track.T_odom_object
+                answers.append(Answer(T_optical_object=T, valid=True))
+        self._sessions[request.session] = trackers, dict(request.hands)
+        while len(self._sessions) > _SESSIONS:
+            self._sessions.popitem(last=False)
+        return answers
+
+    def _known(self, request: Request) -> list[ObjectMesh]:
+        if request.task not in self._meshes:
+            task = get_task(request.task)
+            self._meshes[request.task] = object_meshes(build_scene(task).model, task)
+        by_name = {mesh.name: mesh for mesh in self._meshes[request.task]}
+        for name in request.objects:
+            if name not in by_name:
+                raise UnknownNameError("object", name, by_name)
+        return [by_name[name] for name in request.objects]
+
+
+BACKENDS = {"tracker": TrackerBackend}
+
+
+def make_backend(name: str) -> Backend:
+    """Return a backend by its name.
+
+    Raises:
+        UnknownNameError: There is no such backend.
+    """
+    if name not in BACKENDS:
+        raise UnknownNameError("backend", name, BACKENDS)
+    return BACKENDS[name]()
+
+
+def serve(
+    backend: Backend, address: str, ready: Callable[[str], None] | None = None, stop: Callable[[], bool] = lambda: False
+) -> None:
+    """Answer requests until told to stop.
+
+    Args:
+        backend: What estimates poses.
+        address: Where to listen, such as ``tcp://127.0.0.1:5570``; port ``*`` takes a free one.
+        ready: Called with the address once it listens.
+        stop: Asked five times a second.
+
+    Raises:
+        SceneError: Nothing can listen there.
+    """
+    context = zmq.Context()
+    socket = context.socket(zmq.REP)
+    socket.linger = 0
+    try:
+        try:
+            socket.bind(address)
+        except zmq.ZMQError as error:
+            raise SceneError(f"the address {address} ({error})", "one that is free", "choose another port") from error
+        if ready is not None:
+            ready(socket.getsockopt_string(zmq.LAST_ENDPOINT))
+        while not stop():
+            if socket.poll(_TURN_MS):
+                socket.send(_answered(backend, socket.recv_multipart()))
+    finally:
+        context.destroy(linger=0)
+
+
+def _answered(backend: Backend, parts: list[bytes]) -> bytes:
+    """Return the answer to a message; one that cannot be read, or that fails, gets the reason instead of poses."""
+    began = time.perf_counter()
+    request = None
+    try:
+        request = unpack_request(parts)
+        answers = backend(request)
+    except DemoHLMError as error:
+        lost = Answer(T_optical_object=np.eye(4), valid=False, reason=str(error))
+        answers = [lost] * (len(request.objects) if request is not None else 0)
+    frame = -1 if request is None else request.frame
+    return pack_answers(frame, list(answers), 1e3 * (time.perf_counter() - began))

@@ -1,0 +1,212 @@
+"""Drawn depth with a D435's errors, and masks -> tracked objects: what a robot with this software would know."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.perception import camera, d435, masks
+from gym_demohlm.perception.meshes import TRANSPARENT, ObjectMesh, object_meshes
+from gym_demohlm.perception.picture import photographed
+from gym_demohlm.perception.seeing import Eyes, Mounting, SeeingPerceiver, Sighting
+from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, SHIFT_OF_DEGREE, PerceptionSettings
+from gym_demohlm.perception.tracker import Tracker
+from gym_demohlm.perception.visual_model import Frame, VisualModel
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.timing import STEP_DT
+
+_NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
+_MARGIN = 60.0  # px around an object in which it is looked for
+_FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
+_LEAST_PATCH = 40  # px, fewer of an object's colour are something else
+
+
+@dataclass(frozen=True, kw_only=True)
+class RgbdSettings:
+    """What is wrong with the eyes.
+
+    Attributes:
+        noise: How the depth camera errs.
+        masks: "oracle" for the renderer's ids with rough edges, "color" for the picture's colours.
+        mask_jitter: Standard deviation of the place of an oracle mask's edge [px].
+        mounting: What the robot knows wrongly of its camera and of its motion.
+        focal_factor: Known focal length over the true one.
+        mesh_scale: Size of the known meshes over that of the objects.
+    """
+
+    noise: d435.DepthNoise = field(default_factory=d435.DepthNoise)
+    masks: str = "oracle"
+    mask_jitter: float = 1.0
+    mounting: Mounting = field(default_factory=Mounting)
+    focal_factor: float = 1.0
+    mesh_scale: float = 1.0
+
+    @classmethod
+    def of(cls, settings: PerceptionSettings) -> "RgbdSettings":
+        """Return what the options of ``gym.make`` and ``demohlm evaluate`` stand for."""
+        return cls(
+            masks=settings.masks,
+            mounting=mounting_of(settings),
+            focal_factor=1.0 + FOCAL_OF_DEGREE * settings.camera_error,
+            mesh_scale=settings.mesh_scale,
+        )
+
+
+def mounting_of(settings: PerceptionSettings) -> Mounting:
+    """Return how far off a camera is mounted."""
+    return Mounting(
+        camera_turn=math.radians(settings.camera_error), camera_shift=SHIFT_OF_DEGREE * settings.camera_error
+    )
+
+
+@dataclass
+class _Memory:
+    """What is remembered of one world: the depth camera's factor and the objects' tracks."""
+
+    scale: float
+    trackers: list[Tracker]
+
+
+class RgbdPerceiver(SeeingPerceiver):
+    """Tracks the objects in rendered depth.
+
+    Args:
+        task: The task.
+        num_worlds: N of the simulation.
+        settings: What is wrong with the eyes.
+
+    Raises:
+        SceneError: This machine has nothing to draw with; at the first look.
+    """
+
+    def __init__(self, task: Task, num_worlds: int, settings: RgbdSettings | None = None) -> None:
+        self._settings = settings or RgbdSettings()
+        super().__init__(task, num_worlds, self._settings.mounting)
+        self._meshes: tuple[ObjectMesh, ...] = ()
+
+    def _begin_world(self, eyes: Eyes, row: int) -> None:
+        eyes.memory = _Memory(scale=d435.episode_scale(self._settings.noise, eyes.rng), trackers=[])
+
+    def _open(self, sim: Simulation) -> VisualModel:
+        visual, model = VisualModel(sim.model), sim.model
+        self._meshes = object_meshes(model, self._task)
+        seen = (model.geom_rgba[:, 3] > 0) & (model.geom_rgba[:, 3] < TRANSPARENT)
+        self._transparent = np.flatnonzero(seen)
+        pelvis = model.body("pelvis").id
+        self._robot = np.append(model.body_rootid[model.geom_bodyid] == pelvis, False)  # the last: id -1
+        return visual
+
+    def _look(
+        self, visual: VisualModel, eyes: Eyes, T_odom_optical: np.ndarray, palms: dict[str, np.ndarray]
+    ) -> list[Sighting | None]:
+        settings, memory = self._settings, eyes.memory
+        assert isinstance(memory, _Memory)
+        if not memory.trackers:
+            known = visual.intrinsics.scaled(settings.focal_factor)
+            memory.trackers = [Tracker(mesh.scaled(settings.mesh_scale), known) for mesh in self._meshes]
+        trackers = memory.trackers
+        frame, depth = self._measured(visual, eyes, memory.scale, self._window(trackers, T_odom_optical, visual))
+        found = self._masks(visual, eyes, frame, trackers, T_odom_optical)
+        hiders = self._robot[frame.ids]
+        in_front = []
+        for mask in found:  # what comes first in a task is handled on, in or before what follows
+            in_front.append(hiders)
+            hiders = hiders | mask
+        order = sorted(range(len(found)), key=lambda k: self._task.objects[k].moves_with is not None)
+        for k in order:
+            tracker, entry = trackers[k], self._task.objects[k]
+            tracker.update(
+                depth,
+                found[k],
+                frame.window,
+                T_odom_optical,
+                STEP_DT,
+                hand_motions(tracker, eyes.palms, palms),
+                in_front[k],
+                self._lies(entry, trackers, T_odom_optical),
+            )
+        return [sighting_of(tracker) for tracker in trackers]
+
+    def _masks(
+        self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: list[Tracker], T_odom_optical: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return the pixels (height, width) of each object in a window."""
+        if self._settings.masks == "oracle":
+            return [masks.oracle(frame.ids, mesh.geoms, eyes.rng, self._settings.mask_jitter) for mesh in self._meshes]
+        picture = photographed(visual.rgb(frame.window), eyes.rng)
+        found = []
+        for mesh, tracker in zip(self._meshes, trackers, strict=True):
+            T = tracker.expected(T_odom_optical)
+            expected = None
+            if T is not None and T[2, 3] > 0:
+                middle = visual.intrinsics.project(poses.transform(T, tracker.shape.middle[None]))[0]
+                expected = tuple((middle - frame.window.corner).tolist())
+            found.append(masks.component_near(masks.color(picture, mesh.colors), expected, _LEAST_PATCH))
+        return found
+
+    def _measured(
+        self, visual: VisualModel, eyes: Eyes, scale: float, window: camera.Window
+    ) -> tuple[Frame, np.ndarray]:
+        """Return ids and true depth of a window, and the measured depth."""
+        frame = visual.depth_and_ids(window)
+        behind = None
+        if len(self._transparent):
+            behind = visual.depth_and_ids(window, self._transparent).depth
+        noise = self._settings.noise
+        measured = d435.measure(
+            frame.depth, noise, eyes.rng, scale=scale, image_focal=visual.intrinsics.focal, behind=behind
+        )
+        return frame, measured
+
+    def _window(self, trackers: list[Tracker], T_odom_optical: np.ndarray, visual: VisualModel) -> camera.Window:
+        """Return the part of the image in which the objects should be; all of it where one is lost."""
+        intrinsics = visual.intrinsics
+        everything = camera.whole(intrinsics)
+        low, high = [], []
+        for tracker in trackers:
+            T = tracker.expected(T_odom_optical)
+            if T is None or tracker.track is None or tracker.track.age_s > _FOLLOWED_S:
+                return everything
+            p_optical = poses.transform(T, tracker.shape.vertices)
+            window = None
+            if p_optical[:, 2].min() > 0.1:
+                window = camera.window_around(intrinsics.project(p_optical), _MARGIN, intrinsics)
+            if window is None:
+                return everything
+            low.append(window.corner)
+            high.append(window.corner + np.array([window.width, window.height]))
+        left, top = np.min(low, axis=0).astype(int).tolist()
+        right, bottom = np.max(high, axis=0).astype(int).tolist()
+        return camera.Window(left=left, top=top, width=right - left, height=bottom - top)
+
+    def _lies(self, entry: ObjectSpec, trackers: list[Tracker], T_odom_optical: np.ndarray) -> np.ndarray | None:
+        """Return roughly how an object lies at first: as what carries it, or facing the robot; None for any yaw."""
+        if entry.moves_with is not None:
+            names = [other.name for other in self._task.objects]
+            carrier = trackers[names.index(entry.moves_with)].track
+            if carrier is not None:
+                turn = entry.yaw - self._task.object(entry.moves_with).yaw
+                return carrier.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
+        if entry.symmetry != (0.0,):
+            return None
+        heading = math.atan2(T_odom_optical[1, 2], T_odom_optical[0, 2])
+        return poses.planar(0.0, 0.0, heading + entry.yaw)[:3, :3]
+
+
+def sighting_of(tracker: Tracker) -> Sighting | None:
+    """Return what a tracker knows after a frame."""
+    track = tracker.track
+    if track is None:
+        return None
+    return Sighting(T_odom_object=track.T_odom_object, valid=track.valid, age_s=track.age_s, inliers=track.inliers)
+
+
+def hand_motions(tracker: Tracker, before: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Return the motions since the last frame of the palms near an object."""
+    if tracker.track is None or not before:
+        return []
+    corners = poses.transform(tracker.track.T_odom_object, tracker.shape.vertices)
+    near = [side for side in now if np.linalg.norm(corners - before[side][:3, 3], axis=1).min() < _NEAR_HAND]
+    return [now[side] @ poses.invert(before[side]) for side in near]

@@ -1,0 +1,367 @@
+"""The way to a simulated robot, measured: rates of the link, ages, answers to silence and faults, success over DDS.
+
+Robot and deployment are the processes of ``demohlm simulate-robot`` and ``demohlm deploy``, over loopback.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.hardware import recorder
+from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.fault_plan import EXPECTED_MODES, draw_fault
+from lerobot_demohlm.hardware.faults import PROCESS_FAULTS, Fault
+from lerobot_demohlm.hardware.layout import LowCmd, LowState
+from lerobot_demohlm.hardware.link import LOW_CMD, LOW_STATE, Link
+from lerobot_demohlm.hardware.priority import CONTROL
+from lerobot_demohlm.hardware.records import Mode
+
+START_S = 240.0  # that a robot may take to start
+PATIENCE_S = 20.0
+SETTLE_S = 1.0  # between the gantry's letting go and RUN
+EPISODE_S = 60.0
+_LINK_HZ = 500
+_OTHER = """
+import json, sys, time
+from lerobot_demohlm.benchmarks.deployment import answer_states
+print(json.dumps(answer_states(int(sys.argv[1]), float(sys.argv[2]))), flush=True)
+"""
+
+
+class RobotProcess:
+    """A ``demohlm simulate-robot`` and what it says.
+
+    Args:
+        task: Name of the task.
+        domain: Of DDS.
+        folder: For its servos and faults.
+        options: Further options of the command.
+        faults: What goes wrong.
+    """
+
+    def __init__(self, task: str, domain: int, folder: Path, options: Sequence[str] = (), faults: Any = None) -> None:  # noqa: ANN401
+        self.servos = str(folder / "servos")
+        command = [sys.executable, "-m", "lerobot_demohlm.cli", "simulate-robot", "--task", task, "--interface", "lo"]
+        command += ["--domain", str(domain), "--servo-link", self.servos, *options]
+        if faults is not None:
+            path = folder / "faults.json"
+            path.write_text(json.dumps(faults))
+            command += ["--faults", str(path)]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.events: list[dict[str, Any]] = []
+        self._new: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        threading.Thread(target=self._hear, daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def wait_for(self, event: str, timeout_s: float) -> dict[str, Any]:
+        """Return the next event of a kind.
+
+        Raises:
+            RobotError: None comes within the time.
+        """
+        until = time.monotonic() + timeout_s
+        while (left := until - time.monotonic()) > 0.0:
+            try:
+                found = self._new.get(timeout=left)
+            except Empty:
+                break
+            if found["event"] == event:
+                return found
+        last = self.events[-1] if self.events else "nothing"
+        raise RobotError(f"no {event!r} of the simulated robot, but {last}", "one", "see what it printed")
+
+    def end(self) -> dict[str, Any]:
+        """End it; returns what it counted."""
+        self._process.terminate()
+        try:
+            return self.wait_for("end", 20.0)
+        except RobotError:
+            return {}
+        finally:
+            self.kill()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.wait()
+
+    def _hear(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                event = json.loads(line)
+            except ValueError:
+                continue
+            self.events.append(event)
+            self._new.put(event)
+
+
+@contextmanager
+def robot_and_folder(
+    task: str, domain: int, options: Sequence[str] = (), faults: Mapping[str, Any] | None = None
+) -> Iterator[tuple[RobotProcess, Path]]:
+    """Run a simulated robot, and yield it with a folder for records, once it hangs in its gantry."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot = RobotProcess(task, domain, Path(folder), options, faults)
+        try:
+            robot.wait_for("hangs", START_S)
+            yield robot, Path(folder)
+        finally:
+            robot.kill()
+
+
+def measure_link(seconds: float, domain: int = 181) -> dict[str, Any]:
+    """Send states at 500 Hz to another process that sends a command for each, for a while.
+
+    Returns:
+        Shares of messages late by more than 2 ms, both ways, and round trips.
+    """
+    from lerobot_demohlm.hardware.priority import hurry
+
+    other = subprocess.Popen(
+        [sys.executable, "-c", _OTHER, str(domain), str(seconds + 1.0)], stdout=subprocess.PIPE, text=True
+    )
+    hurry(CONTROL)
+    link = Link("lo", domain)
+    states, commands, state = link.writer(LOW_STATE), link.reader(LOW_CMD, newest=False), LowState()
+    state.quat_wxyz[0] = 1.0
+    until = time.monotonic() + START_S
+    while commands.writers() == 0:
+        if time.monotonic() > until:
+            other.kill()
+            raise RobotError("no other process", "one that answers", "try again")
+        time.sleep(0.01)
+    time.sleep(0.5)
+    sent, trips, arrived, late = {}, [], [], 0
+    began = time.monotonic()
+    cpu = time.process_time()
+    count = round(seconds * _LINK_HZ)
+    for number in range(count):
+        state.tick = number + 1
+        state.seal()
+        sent[number + 1] = now = time.monotonic()
+        late += now > began + number / _LINK_HZ + 0.002
+        states.send(state.to_bytes())
+        for message in commands.take():
+            got = LowCmd(message.content)
+            if got.is_sound():
+                arrived.append(time.monotonic())
+                trips.append(1e3 * (arrived[-1] - sent.pop(int(got.q[0]), arrived[-1])))
+        wait = began + (number + 1) / _LINK_HZ - time.monotonic()
+        if wait > 0.0:
+            time.sleep(wait)
+    cpu = time.process_time() - cpu
+    assert other.stdout is not None
+    there = json.loads(other.stdout.readline())
+    other.wait(10.0)
+    gaps = 1e3 * np.diff(arrived)
+    return {
+        "part": "link",
+        "seconds": seconds,
+        "states_sent": count,
+        "states_sent_late_share": late / count,
+        "states_heard": there["states"],
+        "states_gap_over_4_ms_share": there["late"] / max(there["states"], 1),
+        "commands_heard": len(arrived),
+        "commands_gap_over_4_ms_share": float((gaps > 4.0).mean()),
+        "round_trip_p50_ms": float(np.percentile(trips, 50)),
+        "round_trip_p99_ms": float(np.percentile(trips, 99)),
+        "cores_used": cpu / seconds + there["cores"],
+        **_machine(),
+    }
+
+
+def answer_states(domain: int, seconds: float) -> dict[str, Any]:
+    """Answer each state with a command that carries its tick, for a while after the first; returns what was heard."""
+    from lerobot_demohlm.hardware.priority import hurry
+
+    hurry(CONTROL)
+    link = Link("lo", domain)
+    reader, writer, command = link.reader(LOW_STATE, newest=False), link._writer(LOW_CMD), LowCmd()
+    times: list[float] = []
+    until, cpu = time.monotonic() + START_S, 0.0
+    while time.monotonic() < until:
+        for message in reader.take():
+            state = LowState(message.content)
+            if state.is_sound():
+                if not times:
+                    until, cpu = time.monotonic() + seconds, time.process_time()
+                times.append(time.monotonic())
+                command.q[0] = state.tick
+                command.seal()
+                writer.send(command.to_bytes())
+        time.sleep(0.0005)
+        if times and time.monotonic() - times[-1] > 0.5:
+            break
+    gaps = 1e3 * np.diff(times)
+    return {"states": len(times), "late": int((gaps > 4.0).sum()), "cores": (time.process_time() - cpu) / seconds}
+
+
+def settings_for(
+    task: str, policy: Path, robot: RobotProcess, domain: int, root: Path | None, source: str = "exact"
+) -> DeploymentSettings:
+    """Return a deployment to a simulated robot."""
+    return DeploymentSettings(
+        task=task, interface="lo", policy=policy, pose_source=source, servo_port=robot.servos, root=root, domain=domain
+    )
+
+
+def stand_and_run(deployment: Deployment, robot: RobotProcess) -> float:
+    """Have a hanging robot stand, wait until the gantry lets go, and run; returns when it ran (``time.monotonic``)."""
+    until = time.monotonic() + PATIENCE_S
+    while deployment.mode != Mode.STAND:  # a machine at its limits may be late with one sign of life or another
+        if time.monotonic() > until:
+            raise RobotError(deployment.reason, "a robot that stands", "measure on a machine that is less busy")
+        deployment.request(Mode.STAND)
+        time.sleep(0.1)
+    robot.wait_for("free", 15.0)
+    time.sleep(SETTLE_S)
+    deployment.request(Mode.RUN)
+    deployment.wait_for(Mode.RUN, 5.0)
+    return time.monotonic()
+
+
+def measure_success(
+    task: str, policy: Path, region: str, seeds: Sequence[int], source: str, domain: int = 182
+) -> dict[str, Any]:
+    """Run a policy on a simulated robot from seeded starts; returns outcomes and ages at the controller.
+
+    Args:
+        task: Name of the task.
+        policy: A ``pretrained_model`` directory.
+        region: Of the starts.
+        seeds: One an episode, each one more than the one before.
+        source: Of poses.
+        domain: Of DDS.
+    """
+    outcomes: list[dict[str, Any]] = []
+    with robot_and_folder(task, domain, ["--region", region, "--seed", str(seeds[0])]) as (robot, folder):
+        settings = settings_for(task, policy, robot, domain, folder / "record", source)
+        with Deployment(settings) as deployment:
+            for _ in seeds:
+                stand_and_run(deployment, robot)
+                found = robot.wait_for("episode", EPISODE_S)
+                outcomes.append(found | {"mode": deployment.mode.name, "reason": deployment.reason})
+                deployment.request(Mode.DAMP)
+                robot.wait_for("hangs", 20.0)
+        rows = recorder.read(folder / "record")
+        counted = robot.end()
+    running = np.asarray(rows["control.mode"]) == Mode.RUN
+    return {
+        "part": "success",
+        "task": get_task(task).name,
+        "region": region,
+        "source": source,
+        "episodes": len(outcomes),
+        "first_seed": seeds[0],
+        "successes": sum(entry["outcome"] == "success" for entry in outcomes),
+        "outcomes": [entry["outcome"] for entry in outcomes],
+        "held": [entry["reason"] for entry in outcomes if entry["mode"] != "RUN"],
+        **_ages(rows, running),
+        **{name: counted.get(name) for name in ("states", "late", "executed", "gaps_over_40_ms", "gap_p99_ms",
+                                                "gap_max_ms", "violations", "bad_crc")},
+        **_machine(),
+    }  # fmt: skip
+
+
+def measure_faults(
+    task: str, policy: Path, seeds: Sequence[int], domain: int = 183, fault: Fault | None = None
+) -> Iterator[dict[str, Any]]:
+    """Let one seeded fault happen in a run each; yields how the robot answered.
+
+    Args:
+        task: Name of the task.
+        policy: A ``pretrained_model`` directory.
+        seeds: Of the faults.
+        domain: Of DDS.
+        fault: The fault itself, in place of a drawn one.
+    """
+    for seed in seeds:
+        drawn = fault or draw_fault(seed, get_task(task).hands == "gripper")
+        yield fault_run(task, policy, seed, drawn, domain)
+
+
+def fault_run(task: str, policy: Path, seed: int, fault: Fault, domain: int) -> dict[str, Any]:
+    """Run a policy, let something go wrong, and look whether the robot ends as it must, with the reason on record."""
+    in_robot = fault.kind not in PROCESS_FAULTS
+    plan = {"seed": seed, "faults": [vars(fault)]} if in_robot else None
+    with robot_and_folder(task, domain, ["--region", "R1", "--seed", str(seed)], plan) as (robot, folder):
+        root = folder / "record"
+        with Deployment(settings_for(task, policy, robot, domain, root)) as deployment:
+            began = stand_and_run(deployment, robot)
+            free = next(event for event in robot.events if event["event"] == "free")["time_s"]
+            at = free + fault.at_s if in_robot else began + fault.at_s
+            time.sleep(max(0.0, at - time.monotonic()))
+            if not in_robot:
+                at = time.monotonic()
+                deployment.apply(fault)
+            mode, answered = _wait_for_answer(deployment, EXPECTED_MODES[fault.kind, fault.process], 6.0)
+            reason, damped = deployment.reason, None
+            if fault.kind in ("kill", "stop") and fault.process == "control":
+                damped = robot.wait_for("damped", 3.0)
+            time.sleep(0.3)
+        recorded = (
+            sorted(set(recorder.read(root)["control.reason"].to_pylist())) if list(root.glob("*.parquet")) else []
+        )
+        counted = robot.end()
+    return {
+        "part": "faults",
+        "task": get_task(task).name,
+        "seed": seed,
+        "fault": fault.kind,
+        "process": fault.process if not in_robot else None,
+        "mode": mode.name,
+        "answer_ms": None if answered is None else 1e3 * (answered - at),
+        "damped_after_ms": None if damped is None else damped["silence_ms"],
+        "reason": reason,
+        "as_specified": mode in EXPECTED_MODES[fault.kind, fault.process] or damped is not None,
+        "reason_recorded": reason in recorded,
+        "violations": counted.get("violations"),
+        "worst": counted.get("worst"),
+        "executed": counted.get("executed"),
+        "refused_crc": counted.get("bad_crc"),
+        **_machine(),
+    }
+
+
+def _wait_for_answer(deployment: Deployment, expected: tuple[Mode, ...], timeout_s: float) -> tuple[Mode, float | None]:
+    """Return the mode that a fault led to, and when it was entered (``time.monotonic``); None where it led to none."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        reading = deployment.read("control")
+        if reading is not None and Mode(int(reading.value["mode"])) != Mode.RUN:
+            return Mode(int(reading.value["mode"])), 1e-9 * int(reading.value["since_ns"])
+        time.sleep(0.002)
+    return deployment.mode, None
+
+
+def _ages(rows: Any, running: np.ndarray) -> dict[str, float]:  # noqa: ANN401
+    found = {}
+    for name in ("state", "policy", "pose"):
+        values = 1e3 * np.asarray(rows[f"control.{name}_age_s"], dtype=np.float64)[running]
+        values = values[np.isfinite(values)]
+        if len(values):
+            found |= {f"{name}_age_p50_ms": float(np.percentile(values, 50))}
+            found |= {f"{name}_age_p99_ms": float(np.percentile(values, 99))}
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    return {"cores": os.cpu_count(), "load": round(os.getloadavg()[0], 2)}

@@ -1,0 +1,122 @@
+"""A policy -> its success against what is wrong with its eyes, one error at a time, and the curves as a figure."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gym_demohlm import jsonl
+from gym_demohlm.perception.settings import PerceptionSettings
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
+from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
+
+AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "bias_mm": ("exact", (5.0, 10.0, 20.0, 30.0)),
+    "latency_s": ("exact", (0.1, 0.2, 0.4)),
+    "dropout": ("exact", (0.25, 0.5, 0.75)),
+    "camera_error": ("rgbd", (0.5, 1.0, 2.0)),
+    "mesh_scale": ("rgbd", (0.98, 1.02)),
+}
+"""What is varied: an option of a perception, the source that it is added to, and its values."""
+PLAIN = {"mesh_scale": 1.0}
+"""Values at which an axis changes nothing; 0 for the others."""
+LABELS = {
+    "bias_mm": "bias of an episode [mm]",
+    "latency_s": "latency [s]",
+    "dropout": "share of lost frames",
+    "camera_error": "camera off by [degrees, and 5 mm each]",
+    "mesh_scale": "known size of the mesh",
+}
+
+
+def conditions(axes: Sequence[str]) -> Iterator[PerceptionSettings]:
+    """Yield what is evaluated for some axes: each source as it is, once, and then each value."""
+    for source in dict.fromkeys(AXES[axis][0] for axis in axes):
+        yield PerceptionSettings(source=source)
+    for axis in axes:
+        source, values = AXES[axis]
+        for value in values:
+            yield PerceptionSettings(source=source, **{axis: value})  # pyright: ignore[reportArgumentType]
+
+
+def measure(
+    loaded: LoadedPolicy,
+    task: str,
+    region: str,
+    perceptions: Sequence[PerceptionSettings],
+    num_episodes: int,
+    seed: int = FIRST_SEED,
+    num_workers: int = 1,
+) -> Iterator[dict[str, Any]]:
+    """Yield a line a perception, from the same starts.
+
+    Args:
+        loaded: The policy.
+        task: Name of the task.
+        region: Initial region.
+        perceptions: What is evaluated.
+        num_episodes: Rollouts of each.
+        seed: Of the first rollout.
+        num_workers: Processes.
+    """
+    for perception in perceptions:
+        setting = Setting(task=task, region=region, num_workers=num_workers, perception=str(perception))
+        found = list(rollouts(loaded, setting, range(seed, seed + num_episodes)))
+        summary = summarize(found)
+        yield {
+            "task": task,
+            "region": region,
+            "policy": loaded.kind,
+            "policy_hash": loaded.hash[:12],
+            "num_train_episodes": loaded.num_train_episodes,
+            "perception": str(perception),
+            "seed": seed,
+            "episodes": summary["episodes"],
+            "success_held": summary["success_held"],
+            "success_ever": summary["success_ever"],
+        }
+
+
+def draw(lines: Path, figure: Path) -> None:
+    """Draw the curves of all policies in a file of ``measure``'s lines, with 95 % intervals.
+
+    Args:
+        lines: The file.
+        figure: Image file; its folder is made.
+
+    Raises:
+        DatasetError: There is no such file, or it is damaged.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    found: dict[tuple[str, str, str, str], dict[str, Any]] = {}
+    for line in jsonl.read(lines):
+        if "success_held" in line:
+            found[line["task"], line["policy"], line["region"], line["perception"]] = line
+    pictures, places = pyplot.subplots(1, len(AXES), figsize=(3.4 * len(AXES), 3.2), sharey=True)
+    for place, (axis, (source, values)) in zip(places, AXES.items(), strict=True):
+        for task, policy, region in sorted({key[:3] for key in found}):
+            plain = PLAIN.get(axis, 0.0)
+            points = []
+            for value in sorted({plain, *values}):
+                perception = PerceptionSettings(source=source, **{axis: value})  # pyright: ignore[reportArgumentType]
+                line = found.get((task, policy, region, str(perception)))
+                if line is not None:
+                    points.append((value, line["success_held"]["rate"], *line["success_held"]["interval"]))
+            if len(points) > 1:
+                x, rate, low, high = zip(*points, strict=True)
+                (drawn,) = place.plot(x, rate, marker="o", markersize=3, label=f"{task} {region}, {policy}")
+                place.fill_between(x, low, high, alpha=0.12, color=drawn.get_color(), linewidth=0)
+        place.set_xlabel(LABELS[axis])
+        place.set_title(f"on {source} poses", fontsize=9)
+        place.set_ylim(-0.02, 1.02)
+        place.grid(alpha=0.3)
+    places[0].set_ylabel("success, held for 1 s")
+    handles, names = places[0].get_legend_handles_labels()
+    pictures.legend(handles, names, loc="lower center", ncol=4, fontsize=8, frameon=False)
+    pictures.tight_layout(rect=(0, 0.08, 1, 1))
+    figure.parent.mkdir(parents=True, exist_ok=True)
+    pictures.savefig(figure, dpi=110)
+    pyplot.close(pictures)

@@ -1,0 +1,149 @@
+"""Actions of a LeRobot loop -> a robot at the other end of a network, by way of the deployment's controller process.
+
+LeRobot takes the place of the policy alone: filter, watchdogs and controller are those of ``demohlm deploy``. A loop
+that falls silent is a policy that does, and the robot holds.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from gym_demohlm.control import command
+from gym_demohlm.task import Task
+from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
+from lerobot_demohlm.hardware import remote, robot_observation
+from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.records import Mode
+
+BALANCE_S = 3.0  # that it stands before it runs
+PATIENCE_S = 30.0
+_PAUSE_S = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class DdsSeen:
+    """The robot at one moment.
+
+    Attributes:
+        step: Actions since the episode began.
+        state: (68,) float32, ``observation.STATE_NAMES``.
+        environment_state: (9k,) float32, the tracked objects.
+    """
+
+    step: int
+    state: np.ndarray
+    environment_state: np.ndarray
+
+
+class DdsRobot:
+    """A robot that stands and obeys.
+
+    It stands once it is connected, and runs from the first action of an episode on. A loop that has been silent for
+    too long finds it holding until the next episode. On ``lo`` it is a simulated robot; any other waits for its remote:
+    start to stand, A to run.
+
+    Args:
+        config: Where it is.
+        task: The task.
+
+    Raises:
+        DemoHLMError: It was refused; nothing has moved.
+        DeviceError: It does not stand or run.
+    """
+
+    def __init__(self, config: DemoHLMG1Config, task: Task) -> None:
+        self._objects, self._step, self._by_remote = len(task.objects), 0, config.interface != "lo"
+        self._deployment = Deployment(
+            DeploymentSettings(
+                task=task.name,
+                interface=config.interface,
+                policy=None,
+                pose_source=config.pose_source,
+                servo_port=config.servo_port,
+                domain=config.domain,
+            )
+        )
+        try:
+            self._allow("start")
+            self._deployment.request(Mode.STAND)
+            self._wait_to_stand()
+        except BaseException:
+            self._deployment.close()
+            raise
+
+    @property
+    def seen(self) -> DdsSeen:
+        """The robot now.
+
+        Raises:
+            DeviceError: Nothing is known of it yet.
+        """
+        state, pose, servos = (self._deployment.read(name) for name in ("state", "pose", "servos"))
+        if state is None:
+            raise DeviceError("no state of the robot", "500 a second", "see `demohlm robot-check`")
+        objects = np.zeros(9 * self._objects, np.float32)
+        if pose is not None:
+            objects = robot_observation.environment_state(pose.value, self._objects)
+        return DdsSeen(
+            step=self._step,
+            state=robot_observation.agent_pos(state.value, None if servos is None else servos.value),
+            environment_state=objects,
+        )
+
+    def send(self, wanted: np.ndarray) -> None:
+        """Hand an action (23,) to the controller.
+
+        Raises:
+            DeviceError: The robot brakes its motors, or its controller has ended.
+        """
+        deployment = self._deployment
+        deployment.check()
+        if self._step == 0 and deployment.mode in (Mode.STAND, Mode.HOLD):
+            self._run()
+        control = deployment.read("control")
+        if control is None or int(control.value["mode"]) == Mode.DAMP:
+            raise DeviceError(f"a robot that brakes its motors ({deployment.reason})", "one that runs", "connect again")
+        run_ns = int(control.value["since_ns"]) if int(control.value["mode"]) == Mode.RUN else -1
+        deployment.write_command(wanted, run_ns, self._step)
+        self._step += 1
+
+    def reset(self) -> None:
+        """Begin an episode: at its first action a robot that holds runs again."""
+        self._step = 0
+
+    def close(self) -> None:
+        """Brake the motors."""
+        self._deployment.close()
+
+    def _wait_to_stand(self) -> None:
+        until = time.monotonic() + PATIENCE_S
+        while not self._deployment.standing:
+            if time.monotonic() > until:
+                raise DeviceError(
+                    f"a robot that does not stand ({self._deployment.reason})", "one that does", "see `robot-check`"
+                )
+            time.sleep(_PAUSE_S)
+        time.sleep(BALANCE_S)
+
+    def _run(self) -> None:
+        """Run, from rest until an action comes."""
+        self._allow("A")
+        self._deployment.write_command(command.rest(), -1, 0)
+        self._deployment.request(Mode.RUN)
+        self._deployment.wait_for(Mode.RUN, 5.0)
+
+    def _allow(self, button: str) -> None:
+        """Wait for a button of a real robot's remote.
+
+        Raises:
+            DeviceError: It is not pressed within the time.
+        """
+        until = time.monotonic() + PATIENCE_S
+        while self._by_remote:
+            state = self._deployment.read("state")
+            if state is not None and button in remote.pressed(int(state.value["buttons"])):
+                return
+            if time.monotonic() > until:
+                raise DeviceError(f"no {button} on the remote", f"{button} within {PATIENCE_S:g} s", "press it")
+            time.sleep(_PAUSE_S)

@@ -1,0 +1,1 @@
+"""A policy's commands <-> the motors of a Unitree G1, real or simulated, over its own DDS topics."""

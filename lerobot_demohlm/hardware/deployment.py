@@ -1,0 +1,379 @@
+"""A policy, a pose source, a controller, servos and a recorder -> processes that drive one robot, and who watches them.
+
+They are started in an order in which everything that can be refused is refused before the first command is sent:
+policy, poses, servos and recorder must be ready before the controller starts, and it only brakes until it is asked to
+stand.
+"""
+
+import json
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.hardware import records
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.faults import Fault
+from lerobot_demohlm.hardware.limits import Ages, Limits
+from lerobot_demohlm.hardware.link import DOMAIN, check_interface
+from lerobot_demohlm.hardware.priority import CONTROL, HELPERS, hurry
+from lerobot_demohlm.hardware.records import Mode
+from lerobot_demohlm.hardware.single import ControllerLock
+from lerobot_demohlm.hardware.slots import Reading
+from lerobot_demohlm.reproducibility.processes import end_with_parent
+
+READY_S = 180.0  # that processes may take to load
+OPERATOR_S = 0.05  # between signs of life of the operator
+FACTS = "deployment.json"
+_GO = "go"  # a file: everything but the controller is ready
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeploymentSettings:
+    """What is deployed, and to where.
+
+    Attributes:
+        task: Name of the task.
+        interface: Of the network.
+        policy: A ``pretrained_model`` directory; None where commands come from LeRobot's own loop.
+        pose_source: One of ``pose_process.SOURCES``.
+        servo_port: Serial port of neck and grippers; None where there are none.
+        root: Directory of the record; None for no record.
+        domain: Of DDS.
+        device: Where the policy runs.
+        weights: File of the whole-body controller; the packaged one by default.
+        tags: For ``apriltag``.
+        camera: LeRobot's camera as JSON of its configuration, for ``apriltag``.
+        limits: Of commands and measurements.
+        ages: Of the watchdogs.
+    """
+
+    task: str
+    interface: str
+    policy: Path | None
+    pose_source: str = "exact"
+    servo_port: str | None = None
+    root: Path | None = None
+    domain: int = DOMAIN
+    device: str = "cpu"
+    weights: Path | None = None
+    tags: Path | None = None
+    camera: str = ""
+    limits: Limits = field(default_factory=Limits)
+    ages: Ages = field(default_factory=Ages)
+
+    def __post_init__(self) -> None:
+        """Check names.
+
+        Raises:
+            UnknownNameError: There is no such task or pose source.
+            RobotError: There is no such interface, the record exists, or grippers have no port.
+        """
+        from lerobot_demohlm.hardware.pose_process import PoseSettings
+
+        task = get_task(self.task)
+        check_interface(self.interface)
+        PoseSettings(
+            source=self.pose_source, task=self.task, folder=Path(), interface=self.interface, tags=self.tags
+        )  # checks
+        if task.hands == "gripper" and self.servo_port is None:
+            raise RobotError(f"{task.name} without grippers", "the serial port of the grippers", "give --servo-port")
+        if self.root is not None and self.root.exists():
+            raise RobotError(f"the record {self.root}, which exists", "a new path", "choose another --root")
+
+
+class Deployment:
+    """The processes of a deployment, and the operator's slot.
+
+    Args:
+        settings: What is deployed.
+
+    Attributes:
+        folder: Of the slots.
+        processes: By name: control, policy, pose, servos, recorder.
+
+    Raises:
+        DemoHLMError: What a process refused; nothing has been sent then.
+    """
+
+    def __init__(self, settings: DeploymentSettings) -> None:
+        self.settings = settings
+        self._lock_on_robot = ControllerLock(settings.interface, settings.domain)  # before any port is opened
+        memory = Path("/dev/shm")
+        self.folder = Path(tempfile.mkdtemp(prefix="demohlm-", dir=memory if memory.is_dir() else None))
+        self.processes: dict[str, BaseProcess] = {}
+        self._slots = {name: records.slot(self.folder, name) for name in records.RECORDS}
+        self._mode, self._number, self._estop, self._closed = Mode.DAMP, 0, "", False
+        self._quiet = threading.Event()
+        self._lock = threading.Lock()
+        try:
+            for name in (*self._names(), "control"):
+                self._start(name)
+            self._wait_for_ready(*self._names())
+            (self.folder / _GO).touch()
+            self._wait_for_ready("control")
+        except BaseException:
+            self.close()
+            raise
+        self._operating = threading.Thread(target=self._operate, name="operator", daemon=True)
+        self._operating.start()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self.close()
+
+    def request(self, mode: Mode) -> None:
+        """Ask the controller for a mode; it may refuse, and says why in its slot."""
+        with self._lock:
+            self._mode, self._number = mode, self._number + 1
+            if mode == Mode.STAND:
+                self._estop = ""
+        self._say()
+
+    def estop(self, source: str) -> None:
+        """Brake all motors; only a request to stand lifts it."""
+        with self._lock:
+            self._mode, self._number, self._estop = Mode.DAMP, self._number + 1, source
+        self._say()
+
+    def write_command(self, wanted: np.ndarray, run_ns: int, step: int) -> None:
+        """Take the place of a policy: hand a command (23,) to the controller, for the run that began at a time.
+
+        Raises:
+            RobotError: A policy's process writes them.
+        """
+        if self.settings.policy is not None:
+            raise RobotError("commands beside a policy's", "one source of commands", "deploy without a policy")
+        self._slots["policy"].write(records.record("policy", command=wanted, run_ns=run_ns, step=step))
+
+    def read(self, name: str) -> Reading | None:
+        """Return the newest of a slot."""
+        return self._slots[name].read()
+
+    @property
+    def mode(self) -> Mode:
+        """What the robot does."""
+        reading = self._slots["control"].read()
+        return Mode.DAMP if reading is None else Mode(int(reading.value["mode"]))
+
+    @property
+    def reason(self) -> str:
+        """Why it does that."""
+        reading = self._slots["control"].read()
+        return "" if reading is None else records.text(reading.value["reason"])
+
+    @property
+    def standing(self) -> bool:
+        """Whether the robot balances: the ramp of STAND is over."""
+        reading = self._slots["control"].read()
+        return reading is not None and bool(reading.value["standing"])
+
+    def check(self) -> None:
+        """Raise what a process has died of.
+
+        Raises:
+            DemoHLMError: What it refused.
+        """
+        for name, process in self.processes.items():
+            if process.exitcode is not None:
+                self._raise(name, process.exitcode)
+
+    def forget_ended(self) -> None:
+        """Look no longer after processes that have ended; the controller's watchdogs answer for them."""
+        self.processes = {name: each for name, each in self.processes.items() if each.exitcode is None}
+
+    def wait_for(self, mode: Mode, timeout_s: float, *, standing: bool = False) -> None:
+        """Wait until the robot is in a mode.
+
+        Raises:
+            RobotError: It is not within the time.
+        """
+        until = time.monotonic() + timeout_s
+        while self.mode != mode or (standing and not self.standing):
+            if time.monotonic() > until:
+                raise RobotError(f"{self.mode.name}: {self.reason}", mode.name, "see what holds it back")
+            time.sleep(0.005)
+
+    def apply(self, fault: Fault) -> None:
+        """Have something happen to a process: "kill", "stop" or "full_disk"."""
+        if fault.process == "operator":
+            self._quiet.set()
+            return
+        pid = self.processes["recorder" if fault.kind == "full_disk" else fault.process].pid
+        assert pid is not None
+        if fault.kind == "full_disk":
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0))
+        else:
+            os.kill(pid, signal.SIGKILL if fault.kind == "kill" else signal.SIGSTOP)
+
+    def close(self) -> None:
+        """Brake the motors, then end all processes; the controller first, the recorder last."""
+        if self._closed:
+            return
+        self._closed = True
+        order = ("control", "policy", "pose", "servos", "recorder")
+        for name in order:
+            process = self.processes.get(name)
+            if process is None or process.pid is None:
+                continue
+            if process.is_alive():
+                os.kill(process.pid, signal.SIGCONT)  # one that was stopped could not end
+                process.terminate()
+            process.join(5.0)
+            if process.is_alive():
+                process.kill()
+                process.join(5.0)
+        self._write_facts()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self._lock_on_robot.release()
+
+    def _names(self) -> list[str]:
+        settings = self.settings
+        names = ["policy"] if settings.policy is not None else []
+        names += ["pose"]
+        names += ["servos"] if settings.servo_port is not None else []
+        return names + (["recorder"] if settings.root is not None else [])
+
+    def _start(self, name: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        process = context.Process(target=_process, args=(name, self.settings, self.folder), name=name)
+        process.start()
+        self.processes[name] = process
+
+    def _wait_for_ready(self, *names: str) -> None:
+        until = time.monotonic() + READY_S
+        while missing := [name for name in names if not (self.folder / f"{name}.ready").exists()]:
+            self.check()
+            if time.monotonic() > until:
+                raise RobotError(f"{', '.join(missing)} not ready after {READY_S:g} s", "all processes", "try again")
+            time.sleep(0.02)
+
+    def _raise(self, name: str, code: int) -> None:
+        try:
+            content = json.loads((self.folder / f"{name}.error").read_text())
+        except (OSError, ValueError):
+            raise RobotError(f"the process {name} ended ({code})", "one that stays", "see its message") from None
+        raise RobotError(content["got"], content["expected"], content["remedy"])
+
+    def _operate(self) -> None:
+        """Give signs of life, as long as this process lives."""
+        while not self._closed:
+            if not self._quiet.is_set():
+                self._say()
+            time.sleep(OPERATOR_S)
+
+    def _say(self) -> None:
+        with self._lock:
+            value = records.record(
+                "operator", mode=self._mode, number=self._number, estop=bool(self._estop), source=self._estop.encode()
+            )
+            self._slots["operator"].write(value)
+
+    def _write_facts(self) -> None:
+        """Write what was deployed beside its record, and how it ended."""
+        root = self.settings.root
+        if root is None or not root.is_dir():
+            return
+        settings = self.settings
+        facts: dict[str, Any] = {
+            "task": get_task(settings.task).name, "interface": settings.interface, "pose_source": settings.pose_source,
+            "policy": None if settings.policy is None else str(settings.policy.name), "mode": self.mode.name,
+            "reason": self.reason,
+        }  # fmt: skip
+        try:
+            (root / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
+        except OSError:
+            return  # a full disk; the recorder has said so
+
+
+def _process(name: str, settings: DeploymentSettings, folder: Path) -> None:
+    """Be one of the processes."""
+    try:
+        _make(name, settings, folder).run()
+    except DemoHLMError as error:
+        content = {"got": error.got, "expected": error.expected, "remedy": error.remedy}
+        (folder / f"{name}.error").write_text(json.dumps(content))
+        raise SystemExit(2) from None
+
+
+def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa: ANN401
+    """Make what a process runs, and say that it is ready."""
+    if name == "control":
+        from lerobot_demohlm.hardware.control_process import ControlProcess, ControlSettings
+
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
+        parent = multiprocessing.parent_process()
+        while not (folder / _GO).exists():  # it is loaded, but sends nothing before all others are ready
+            if parent is not None and not parent.is_alive():
+                raise SystemExit(1)
+            time.sleep(0.01)
+        hurry(CONTROL)
+        made: Any = ControlProcess(
+            ControlSettings(
+                interface=settings.interface,
+                folder=folder,
+                task=settings.task,
+                domain=settings.domain,
+                weights=settings.weights,
+                servos=settings.servo_port is not None,
+                recorded=settings.root is not None,
+                limits=settings.limits,
+                ages=settings.ages,
+            )
+        )
+    else:
+        end_with_parent()
+        made = _make_helper(name, settings, folder)
+        if name != "recorder":
+            hurry(HELPERS)
+    (folder / f"{name}.ready").touch()
+    return made
+
+
+def _make_helper(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa: ANN401
+    if name == "policy":
+        from lerobot_demohlm.hardware.policy_process import PolicyProcess, PolicySettings
+
+        assert settings.policy is not None  # else there is no such process
+        return PolicyProcess(
+            PolicySettings(path=settings.policy, task=settings.task, folder=folder, device=settings.device)
+        )
+    if name == "pose":
+        from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings
+
+        return PoseProcess(
+            PoseSettings(
+                source=settings.pose_source,
+                task=settings.task,
+                folder=folder,
+                interface=settings.interface,
+                domain=settings.domain,
+                tags=settings.tags,
+                camera=settings.camera,
+            )
+        )
+    if name == "servos":
+        from lerobot_demohlm.hardware.servos import ServoProcess
+
+        assert settings.servo_port is not None  # else there is no such process
+        return ServoProcess(folder, settings.servo_port, settings.task)
+    from lerobot_demohlm.hardware.recorder import Recorder
+
+    assert settings.root is not None  # else there is no such process
+    return Recorder(folder, settings.root)

@@ -1,0 +1,223 @@
+"""Processes, real DDS and a simulated robot: what is refused before anything moves, kills, watchdogs, e-stops.
+
+Unmarked tests hold on a machine of any speed; those about times are slow ones.
+"""
+
+import dataclasses
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gym_demohlm.control import command
+from gym_demohlm.errors import DemoHLMError, UnknownNameError
+from lerobot_demohlm.benchmarks.deployment import RobotProcess
+from lerobot_demohlm.cli import main
+from lerobot_demohlm.hardware import recorder
+from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.faults import Fault, Faults
+from lerobot_demohlm.hardware.layout import LowCmd
+from lerobot_demohlm.hardware.limits import Ages
+from lerobot_demohlm.hardware.link import LOW_CMD, Link
+from lerobot_demohlm.hardware.records import Mode
+from tests.helpers.checkpoints import save_policy
+from tests.helpers.robot import free_domain, until
+
+LONG = Ages(**dict.fromkeys((field.name for field in dataclasses.fields(Ages)), 1e9))  # no watchdog: any machine
+
+
+def deployed(robot: RobotProcess, domain: int, **changes: object) -> DeploymentSettings:
+    settings = DeploymentSettings(task="LiftBox", interface="lo", policy=None, domain=domain, servo_port=robot.servos)
+    return dataclasses.replace(settings, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_deployment_only_brakes_until_it_is_asked_to_stand(
+    hanging: tuple[RobotProcess, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the first command to the kill of its controller; a second controller is refused, and so is a check."""
+    robot, domain = hanging
+    with Deployment(deployed(robot, domain, root=tmp_path / "record", ages=LONG)) as deployment:
+        until(lambda: deployment.read("state") is not None, 60.0)
+        assert deployment.mode == Mode.DAMP and not deployment.standing
+        with pytest.raises(RobotError, match="a controller on lo already"):
+            Deployment(deployed(robot, domain))
+        assert main(["robot-check", "--interface", "lo", "--domain", str(domain), "--seconds", "1"]) == 1
+        said = capsys.readouterr().out
+        assert "commands of another controller; stop it" in said and '"mode_machine": 5' in said
+        control = deployment.processes["control"]
+        assert control.pid is not None
+        os.kill(control.pid, signal.SIGKILL)
+        control.join(10.0)
+        until(lambda: any(event["event"] == "damped" for event in robot.events), 60.0)
+        with pytest.raises(RobotError, match="the process control ended"):
+            deployment.check()
+    counted = robot.end()
+    assert counted["executed"] > 0 and counted["violations"] == 0 and counted["bad_crc"] == 0
+    rows = recorder.read(tmp_path / "record")
+    assert set(rows["control.mode"].to_pylist()) == {Mode.DAMP}
+    assert not any(any(kp) for kp in rows["control.kp"].to_pylist())
+    assert all(min(kd) > 0.0 for kd in rows["control.kd"].to_pylist()), "it brakes, always"
+
+
+def test_a_foreign_controller_is_heard_and_refused(hanging: tuple[RobotProcess, int]) -> None:
+    robot, domain = hanging
+    foreign, stop = Link("lo", domain)._writer(LOW_CMD), threading.Event()
+    message = LowCmd()
+    message.seal()
+
+    def send() -> None:
+        while not stop.wait(0.02):
+            foreign.send(message.to_bytes())
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        with pytest.raises(RobotError, match="commands of another controller on lo"):
+            Deployment(deployed(robot, domain))
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_policies_that_do_not_fit_are_refused_before_anything_is_sent(
+    hanging: tuple[RobotProcess, int], tmp_path: Path
+) -> None:
+    robot, domain = hanging
+    other_features = save_policy(tmp_path / "other", state_size=60)
+    heard = Link("lo", domain).reader(LOW_CMD)
+    with pytest.raises(DemoHLMError, match=r"observation.state \(60,\)"):
+        Deployment(deployed(robot, domain, policy=other_features))
+    assert heard.newest() is None
+    other_hands = save_policy(tmp_path / "hands")
+    (other_hands / "train_config.json").write_text('{"env": {"task": "GraspCube"}}')
+    with pytest.raises(DemoHLMError, match="a policy for gripper hands"):
+        Deployment(deployed(robot, domain, policy=other_hands))
+    assert heard.newest() is None
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    (["--interface", "nowhere0"], "no interface 'nowhere0'"),
+    (["--interface", "lo", "--task", "LiftBoxes"], "did you mean 'LiftBox'"),
+    (["--interface", "lo", "--task", "GraspCube"], "give --servo-port"),
+    (["--interface", "lo", "--hands-free", "--pose-source", "apriltag"], "give --tags"),
+    (["--interface", "lo", "--root", "."], "which exists"),
+])  # fmt: skip
+def test_bad_options_are_one_line(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["deploy", "--policy", str(tmp_path), "--domain", str(free_domain()), *options]
+    if "--task" not in options:
+        given += ["--task", "LiftBox"]
+    assert main(given) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and error.count("\n") == 0 and error.startswith("error: got ")
+
+
+def test_bad_faults_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'loss'"):
+        Faults.of({"faults": [{"kind": "los", "at_s": 1.0}]})
+    with pytest.raises(RobotError, match="faults that cannot be read"):
+        Faults.of({"faults": [{"kind": "loss"}]})
+    with pytest.raises(RobotError, match="no faults in"):
+        Faults.read(tmp_path / "none.json")
+    with pytest.raises(UnknownNameError, match="joint"):
+        Fault(kind="nan", at_s=0.0, joint="tail")
+
+
+@contextmanager
+def commanded(deployment: Deployment) -> Iterator[threading.Event]:
+    """Take the place of a policy that always wants to rest, until the event that is yielded is set."""
+    silent = threading.Event()
+
+    def act() -> None:
+        step = 0
+        while not silent.wait(0.1):
+            control = deployment.read("control")
+            if control is not None:
+                deployment.write_command(command.rest(), int(control.value["since_ns"]), step)
+                step += 1
+
+    thread = threading.Thread(target=act)
+    thread.start()
+    try:
+        yield silent
+    finally:
+        silent.set()
+        thread.join()
+
+
+def entered_ns(deployment: Deployment, mode: Mode) -> int:
+    """Wait until a mode is entered; returns when (``time.monotonic_ns``)."""
+    until(lambda: deployment.mode == mode, 10.0, pause_s=0.001)
+    control = deployment.read("control")
+    assert control is not None
+    return int(control.value["since_ns"])
+
+
+@pytest.mark.slow
+def test_watchdogs_answer_in_time(hanging: tuple[RobotProcess, int], tmp_path: Path) -> None:
+    """One robot, one thing after the other: policy silent, e-stop, controller killed."""
+    robot, domain = hanging
+    root = tmp_path / "record"
+    with Deployment(deployed(robot, domain, root=root)) as deployment, commanded(deployment) as silent:
+        until(lambda: deployment.read("state") is not None, 30.0)
+        deployment.request(Mode.STAND)
+        deployment.wait_for(Mode.STAND, 10.0)
+        deployment.wait_for(Mode.STAND, 10.0, standing=True)
+        deployment.request(Mode.RUN)
+        deployment.wait_for(Mode.RUN, 5.0)
+        time.sleep(1.0)
+        silent.set()
+        policy = deployment.read("policy")
+        assert policy is not None
+        held_ns = entered_ns(deployment, Mode.HOLD)
+        last = deployment.read("policy")
+        assert last is not None
+        assert 0.300 <= 1e-9 * (held_ns - last.time_ns) < 0.330
+        control = deployment.read("control")
+        assert control is not None and not control.value["command"][command.VELOCITY].any()
+        asked_ns = time.monotonic_ns()
+        deployment.estop("key")
+        assert 1e-9 * (entered_ns(deployment, Mode.DAMP) - asked_ns) < 0.040
+        assert deployment.reason == "e-stop by key"
+        deployment.request(Mode.STAND)
+        deployment.wait_for(Mode.STAND, 10.0, standing=True)
+        deployment.apply(Fault(kind="kill", at_s=0.0, process="control"))
+        found = robot.wait_for("damped", 10.0)
+        while found["silence_ms"] > 1000.0:  # of the time before the first command
+            found = robot.wait_for("damped", 10.0)
+        assert 50.0 <= found["silence_ms"] <= 60.0
+    assert robot.end()["violations"] == 0
+    reasons = set(recorder.read(root)["control.reason"].to_pylist())
+    assert any(reason.startswith("policy silent for 0.30") for reason in reasons)
+    assert "e-stop by key" in reasons
+
+
+@pytest.mark.slow
+def test_a_stopped_pose_source_holds_and_a_silent_robot_damps(
+    hanging: tuple[RobotProcess, int], tmp_path: Path
+) -> None:
+    robot, domain = hanging
+    with Deployment(deployed(robot, domain)) as deployment, commanded(deployment):
+        until(lambda: deployment.read("state") is not None, 30.0)
+        deployment.request(Mode.STAND)
+        deployment.wait_for(Mode.STAND, 10.0, standing=True)
+        deployment.request(Mode.RUN)
+        deployment.wait_for(Mode.RUN, 5.0)
+        deployment.apply(Fault(kind="stop", at_s=0.0, process="pose"))
+        held_ns = entered_ns(deployment, Mode.HOLD)
+        last = deployment.read("pose")
+        assert last is not None and 0.500 <= 1e-9 * (held_ns - last.time_ns) < 0.530
+        assert deployment.reason.startswith("pose stale")
+        os.kill(robot.pid, signal.SIGSTOP)
+        damped_ns = entered_ns(deployment, Mode.DAMP)
+        state = deployment.read("state")
+        assert state is not None and 0.040 <= 1e-9 * (damped_ns - state.time_ns) < 0.060
+        assert deployment.reason.startswith("state lost")
+        os.kill(robot.pid, signal.SIGCONT)

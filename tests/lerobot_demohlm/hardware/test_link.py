@@ -1,0 +1,128 @@
+"""Real DDS over loopback: topics, services, and that nothing leaves the named interface."""
+
+import multiprocessing
+import re
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.layout import LowCmd, LowState
+from lerobot_demohlm.hardware.link import LOW_CMD, LOW_STATE, Link, check_interface, configuration
+from lerobot_demohlm.hardware.motion_switcher import MotionSwitcher, MotionSwitcherService
+from tests.helpers.robot import free_domain, until
+
+SPDP_GROUP = "0100FFEF"  # 239.255.0.1, to which DDS announces itself, as /proc/net/igmp writes it
+
+
+def groups() -> dict[str, set[str]]:
+    """Return the multicast groups that each interface of this machine has joined."""
+    joined: dict[str, set[str]] = {}
+    device = ""
+    for line in Path("/proc/net/igmp").read_text().splitlines()[1:]:
+        head = re.match(r"\d+\s+(\S+)", line)
+        if head:
+            device = head[1]
+        else:
+            joined.setdefault(device, set()).add(line.split()[0])
+    return joined
+
+
+def _echo(domain: int) -> None:
+    with Link("lo", domain) as link:
+        reader, writer = link.reader(LOW_CMD), link.writer(LOW_STATE)
+        state = LowState()
+        while True:
+            content = reader.newest()
+            if content is not None:
+                command = LowCmd(content)
+                state.tick, state.mode_machine = int(command.q[0]), command.is_sound()
+                state.seal()
+                writer.send(state.to_bytes())
+            time.sleep(0.001)
+
+
+def test_messages_go_to_another_process_and_back() -> None:
+    domain = free_domain()
+    other = multiprocessing.get_context("spawn").Process(target=_echo, args=(domain,), daemon=True)
+    other.start()
+    try:
+        link = Link("lo", domain)
+        reader, writer, command = link.reader(LOW_STATE), link._writer(LOW_CMD), LowCmd()
+        for number in (7, 11):
+            command.q[0] = number
+            command.seal()
+
+            def answered(number: int = number) -> bool:
+                writer.send(command.to_bytes())
+                content = reader.newest()
+                return content is not None and LowState(content).is_sound() and LowState(content).tick == number
+
+            until(answered, 20.0)
+        assert reader.writers() == 1
+    finally:
+        other.kill()
+
+
+def test_only_the_named_interface_is_joined() -> None:
+    domain = free_domain()
+    link = Link("lo", domain)
+    link._writer(LOW_CMD)
+    joined = groups()
+    assert SPDP_GROUP in joined["lo"]
+    assert all(SPDP_GROUP not in there for name, there in joined.items() if name != "lo")
+
+
+def test_the_environment_cannot_add_an_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><General><Interfaces><NetworkInterface "
+                       "autodetermine='true'/></Interfaces></General></Domain></CycloneDDS>")  # fmt: skip
+    Link("lo", free_domain())._writer(LOW_CMD)
+    assert all(SPDP_GROUP not in there for name, there in groups().items() if name != "lo")
+    assert configuration("lo").count("<NetworkInterface") == 1
+
+
+def test_an_interface_that_is_not_there_is_refused() -> None:
+    with pytest.raises(RobotError, match=r"no interface 'nowhere0'; expected one of .*lo.*--interface"):
+        check_interface("nowhere0")
+
+
+def test_a_process_keeps_to_one_interface() -> None:
+    from socket import if_nameindex
+
+    others = [name for _, name in if_nameindex() if name != "lo"]
+    if not others:
+        pytest.skip("this machine has no other interface")
+    domain = free_domain()
+    Link("lo", domain)
+    with pytest.raises(RobotError, match=r"one interface a process|is down"):
+        Link(others[0], domain)
+
+
+def test_the_robots_own_controller_is_found_and_released() -> None:
+    link = Link("lo", free_domain())
+    service = MotionSwitcherService(link, "ai")
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.wait(0.005):
+            service.serve()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        switcher = MotionSwitcher(link)
+        assert switcher.check() == "ai"
+        switcher.release()
+        assert switcher.check() == ""
+        with pytest.raises(RobotError, match="code 3203"):
+            switcher._ask(1002)
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_a_robot_that_does_not_answer_is_an_error() -> None:
+    with pytest.raises(RobotError, match="no answer of the motion switcher"):
+        MotionSwitcher(Link("lo", free_domain()), timeout_s=0.3).check()
