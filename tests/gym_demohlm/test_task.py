@@ -40,6 +40,32 @@ def test_samples_fill_the_region_and_stay_inside(region: Region) -> None:
     assert region.sample(np.random.default_rng(0)) == states[0]
 
 
+def test_the_widest_region_reaches_further_in_every_way() -> None:
+    inner, outer = REGIONS["R3"], get_task("LiftBox").region("R4")
+    for name in ("robot_x", "robot_y", "robot_yaw", "object_y", "object_z", "object_yaw"):
+        (low, high), (lowest, highest) = getattr(inner, name), getattr(outer, name)
+        assert lowest <= low and high <= highest
+    state = get_task("LiftBox").sample("R4", np.random.default_rng(0))
+    assert -0.1 <= state["object_x"][0] <= 0.1
+    assert get_task("PushCart").region("R4").object_z[1] == 0.05
+    assert get_task("OpenCabinet").region("R4").object_yaw == (-math.pi / 4, math.pi / 4)
+
+
+def test_things_with_a_spread_are_placed_each_by_itself() -> None:
+    task, rng = get_task("StackCube"), np.random.default_rng(0)
+    states = [task.sample("R1", rng) for _ in range(50)]
+    red, blue = (np.array([state[name] for state in states]) for name in ("red", "blue"))
+    assert np.abs(np.corrcoef(red[:, 1], blue[:, 1])[0, 1]) < 0.4
+    scene = build_scene(task)
+    far = {**states[0], "red": [0.02, 0.01, 0.3], "blue": [-0.02, 0.0, 0.0]}
+    near = {**far, "red": [0.0, 0.0, 0.0]}
+    moved = np.flatnonzero(scene.place(far)[0] != scene.place(near)[0])
+    address = scene.model.joint("red").qposadr[0]
+    assert set(moved) <= set(range(address, address + 7)) and len(moved) >= 3
+    with pytest.raises(UnknownNameError, match="green"):
+        scene.place({**far, "green": [0.0, 0.0, 0.0]})
+
+
 def test_regions_contain_one_another() -> None:
     for small, large in (("R1", "R2"), ("R2", "R3")):
         for name in RANGES:
