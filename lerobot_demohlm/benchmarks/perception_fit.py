@@ -18,7 +18,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.reports.films import Snapshot, generated_take
 
 FITTED = "rgbd"
-_REPEATS = 10  # of the model on each fresh episode
+_REPEATS = 3  # of the model on each fresh episode
 _QUANTILES = (0.5, 0.9)
 WITHIN = 0.25  # of the measured quantile
 

@@ -174,7 +174,8 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "horizon": 24,
             "n_action_steps": 10,
             "down_dims": (256, 512, 1024),
-            "crop_ratio": 0.9,
+            "pretrained_backbone_weights": None,  # nothing is downloaded; group norms instead
+            "use_group_norm": True,
             "optimizer_lr": 1e-4,
         },
         cosine=True,

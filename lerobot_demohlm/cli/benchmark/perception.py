@@ -34,7 +34,7 @@ class Options:
     perceptions: Annotated[tuple[str, ...] | None, default("none")] = None
     num_episodes: int = 50
     num_workers: int = 1
-    results: Path = Path("results/perception_curves.jsonl")
+    results: Path = Path("outputs/perception_curves.jsonl")
     figure: Annotated[Path | None, default("none")] = None
 
 
