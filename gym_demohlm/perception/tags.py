@@ -5,6 +5,8 @@ Measured in drawn pictures with blur and noise (8 cm tags at 0.4 to 1.4 m): pupi
 165 ms with its AprilTag refinement. So this uses pupil-apriltags.
 """
 
+import atexit
+import functools
 from collections.abc import Sequence
 
 import cv2
@@ -19,11 +21,19 @@ _AMBIGUOUS = 2.0  # ratio of reprojection errors below which either of a tag's t
 _LARGEST_ERROR = 2.0  # px: a pose that explains corners worse is none
 
 
-class TagFinder:
-    """Finds tags; keeps its detector."""
+@functools.cache
+def _detector() -> Detector:
+    """Return the detector of this process, which is never freed.
 
-    def __init__(self) -> None:
-        self._detector = Detector(families=FAMILY, nthreads=1, quad_decimate=1.0)
+    pupil-apriltags frees a detector after the tag families that it refers to, which may end the process.
+    """
+    detector = Detector(families=FAMILY, nthreads=1, quad_decimate=1.0)
+    atexit.register(setattr, detector, "tag_detector_ptr", None)  # its finalizer then leaves it alone
+    return detector
+
+
+class TagFinder:
+    """Finds tags."""
 
     def corners(self, grey: np.ndarray, window: Window) -> dict[int, np.ndarray]:
         """Return the corners (4, 2) [px of the whole image] of each tag, counter-clockwise from its lower left.
@@ -33,7 +43,7 @@ class TagFinder:
             window: Where in the image it lies.
         """
         found = {}
-        for entry in list(self._detector.detect(np.ascontiguousarray(grey))):  # pyright: ignore[reportArgumentType]
+        for entry in list(_detector().detect(np.ascontiguousarray(grey))):  # pyright: ignore[reportArgumentType]
             if entry.hamming == 0:
                 found[int(entry.tag_id)] = np.asarray(entry.corners) - 0.5 + window.corner  # pixel middles are whole
         return found

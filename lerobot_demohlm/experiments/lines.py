@@ -98,6 +98,7 @@ class GenerationResult(Result):
         command_noise: Scale of the noise that commands carried.
         start_spread: Factor by which the region's ranges of the robot's pose were widened.
         stance_spread: Scale of how far off the robot stood when it began to act on the object.
+        strict_successes: Attempts that succeeded strictly; None in lines from before that was judged.
     """
 
     task: str
@@ -105,6 +106,7 @@ class GenerationResult(Result):
     seed: int = 0
     attempts: int
     successes: int
+    strict_successes: int | None = None
     success_rate: float | None = None
     outcomes: Mapping[str, int] = field(default_factory=dict)
     first_try_successes: int | None = None

@@ -91,6 +91,8 @@ MOMENTS = {
     "EraseBoard": Moment(share=0.8, view=View(azimuth_deg=-40.0, elevation_deg=-12.0, distance=1.6, height=0.95)),
     "PourWater": Moment(share=0.75),
     "ExchangeCube": Moment(share=0.7),
+    "StackCube": Moment(share=0.95),
+    "CarryBox": Moment(share=0.6, view=View(distance=2.2, height=0.65)),
 }
 """The moment of each task, chosen by eye."""
 

@@ -18,6 +18,7 @@ from gym_demohlm.wbc.evaluation.trial import trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 
 _NUM_ROBOTS, _SETTLE_S, _LOOK_S = 48, 3.0, 4.0
+_LEAST_UP = 0.5  # share of the robots below which nothing can be told
 _LARGEST = 1.5  # gain: a policy that needs more is not trained yet
 
 
@@ -25,7 +26,7 @@ def velocity_gain(simulation: Simulation, period_s: float, seed: int = 0) -> np.
     """Return the factors on forward and sideways velocity by which robots walk as fast as they are told, (2,).
 
     Every robot walks with one command, drawn from the whole range. What it does on average, divided by what it was
-    told, is fitted by least squares over all robots that keep up.
+    told, is fitted by least squares over all robots that do not fall. Where most of them do, the factors are one.
 
     Args:
         simulation: Of ``trial_task``; reset here.
@@ -46,6 +47,8 @@ def velocity_gain(simulation: Simulation, period_s: float, seed: int = 0) -> np.
         if step * STEP_DT >= _SETTLE_S:
             means.append(cycle.mean()[:, :2])
     up = ~simulation.fallen()
+    if up.mean() < _LEAST_UP:
+        return np.ones(2)
     walked, told = np.mean(means, axis=0)[up], commands[up, :2]
     share = (walked * told).sum(axis=0) / (told**2).sum(axis=0)
     return np.clip(1.0 / np.maximum(share, 1.0 / _LARGEST), 1.0, _LARGEST)

@@ -132,7 +132,7 @@ def test_conditions_need_a_simulation_that_may_vary() -> None:
 @pytest.mark.parametrize("name", sorted(all_tasks()))
 def test_furniture_collides_as_it_looks_and_cans_stand_on_tables(name: str) -> None:
     """Every visible geom of furniture under objects collides with robot and things; nothing is invisible."""
-    task, scene = get_task(name), build_scene(get_task(name), get_variation("real"))
+    task, scene = get_task(name), build_scene(get_task(name), variation=get_variation("real"))
     for support in task.supports:
         body = scene.model.body(support)
         for geom in range(body.geomadr[0], body.geomadr[0] + body.geomnum[0]):
@@ -147,7 +147,7 @@ def test_furniture_collides_as_it_looks_and_cans_stand_on_tables(name: str) -> N
 def test_models_of_worlds_are_laid_out_alike(name: str) -> None:
     """MuJoCo steps worlds together in memory of one size, whatever their conditions."""
     variation = get_variation("hard")
-    scene = build_scene(get_task(name), variation)
+    scene = build_scene(get_task(name), variation=variation)
     model, untouched = scene.world_models(variation.draw(3, scene.loose))
     sizes = [size for size in dir(model) if size.startswith("n") and isinstance(getattr(model, size), int)]
     for size in sizes:

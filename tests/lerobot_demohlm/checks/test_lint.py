@@ -52,6 +52,7 @@ def test_the_command_ends_in_one_object(capsys: pytest.CaptureFixture[str]) -> N
     found = summary.pop("found")["PressCube"]
     assert found["replays: success"] == 1.0 and 0.0 < found["replays: depth"] < 5.0 and found["CPU time"] > 0.0
     settings = {"num_resets": 3, "num_still": 1, "num_episodes": 2, "seed": 0, "time_limit_s": 2.0}
+    settings |= {"controller": "default", "variation": "none"}
     assert summary == {"ok": True, "failed": {"PressCube": []}, **settings}
 
 

@@ -203,16 +203,17 @@ def test_records_on_disk(tmp_path: Path) -> None:
         success_ever=True,
         success_end=True,
         success_held=True,
+        success_strict=True,
         outcome="success",
         length_s=0.5,
         initial_state={"robot": [0.0, 0.0, 0.0]},
     )
-    failed = replace(held, seed=4, outcome="fell", success_held=False, success_end=False)
+    failed = replace(held, seed=4, outcome="fell", success_held=False, success_end=False, success_strict=False)
     path = tmp_path / "rollouts.jsonl"
     jsonl.append(path, map(asdict, [held, failed]))
     assert read_rollouts(path) == [held, failed]
     summary = summarize(read_rollouts(path))
-    assert [summary[name]["rate"] for name in evaluation.SUCCESSES] == [0.5, 0.5, 1.0]
+    assert [summary[name]["rate"] for name in evaluation.SUCCESSES] == [0.5, 0.5, 0.5, 1.0]
     for content in ("", "{", "[1]", '{"outcome": "won"}', jsonl.encode(asdict(held) | {"outcome": "won"})):
         path.write_text(content)
         with pytest.raises(DatasetError, match=path.name):

@@ -85,6 +85,7 @@ def test_a_foreign_controller_is_heard_and_refused(hanging: tuple[RobotProcess, 
         thread.join()
 
 
+@pytest.mark.slow
 def test_policies_that_do_not_fit_are_refused_before_anything_is_sent(
     hanging: tuple[RobotProcess, int], tmp_path: Path
 ) -> None:
