@@ -21,7 +21,7 @@ smallest; what is farther, the largest."""
 _CODES = 4095
 _GOP = 2
 TOLERANCE = 12.0
-"""Of 255: mean deviation of a colour frame from what was drawn, by compression. A choice: smooth frames show up to 4."""
+"""Of 255: mean deviation of a colour frame from what was drawn, by compression; smooth frames show up to 4."""
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 
 
