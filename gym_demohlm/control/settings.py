@@ -95,8 +95,8 @@ class Settings:
     Attributes:
         gait: The walking reference.
         slew: Fastest change of the command's first seven numbers, per second.
-        gain: What the policy is told of each of these, as a multiple of how far it is from rest: a policy that
-            answers to a velocity with nine tenths of it is told more.
+        gain: Factor on each of these seven numbers before the policy gets them; on the torso's height, factor on its
+            distance from the height at rest. A policy that walks too slowly gets a larger velocity.
         trim: The slow correction.
         stiffness: Position gains of the servos of ``g1.BODY_JOINTS`` [Nm/rad].
         damping: Their velocity gains [Nms/rad].

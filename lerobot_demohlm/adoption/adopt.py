@@ -88,6 +88,15 @@ def switch(request: Request, folder: Path = WEIGHTS_FOLDER) -> str:
     return weights.stem
 
 
+def is_default(weights: Path) -> bool:
+    """Return whether a weights file is that of the default controller.
+
+    Raises:
+        SceneError: As ``Weights``.
+    """
+    return Weights(weights).hash == controllers.load().hash
+
+
 def _key(request: Request) -> str:
     """Return what the findings hold for: both controllers and how thoroughly they were checked."""
     content = (

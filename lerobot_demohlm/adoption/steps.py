@@ -18,6 +18,7 @@ from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot.physics import Physics
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation import paired
+from gym_demohlm.wbc.evaluation.benchmark import LARGEST_HAND_LOAD
 from gym_demohlm.wbc.evaluation.episodes import Trials, trials
 from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_task
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
@@ -30,7 +31,6 @@ from lerobot_demohlm.teleop.record import record, script_of
 
 LEAST_SUCCESS = 0.97
 """Share of attempts that must succeed in each task."""
-LARGEST_HAND_LOAD = 2.0  # kg
 REGION = "R3"
 
 

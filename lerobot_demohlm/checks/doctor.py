@@ -39,7 +39,7 @@ class DoctorOptions:
     """What ``demohlm doctor`` looks at and writes.
 
     Attributes:
-        tasks: Whether to compare the behaviour of all ten tasks, too, which takes about a minute.
+        tasks: Whether to compare the behaviour of all packaged tasks, too, which takes about a minute.
         write: File that gets this machine's digests in the format of ``digests.json``; none by default.
         append: File of results that gets a line about this processor; none by default.
     """

@@ -25,7 +25,7 @@ class Options:
         num_workers: Processes, and threads of the benchmark.
         seed: Of commands, pushes and starts.
         only_check: Make all checks and change nothing.
-        docs: Folder whose figures and tables are made again with the new controller.
+        docs: Folder of the documentation. Its figures and tables are drawn again for the new controller.
     """
 
     weights: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="WEIGHTS")]
@@ -41,9 +41,8 @@ class Options:
 
 def run(options: Options) -> int:
     """Check and adopt; exit code 1 where the controller falls short. The last line on stdout is a JSON object."""
-    from lerobot_demohlm.adoption.adopt import NotAdoptedError, check, switch
+    from lerobot_demohlm.adoption.adopt import NotAdoptedError, check, is_default, switch
     from lerobot_demohlm.adoption.steps import Request
-    from lerobot_demohlm.checks import portability
 
     request = Request(
         weights=options.weights,
@@ -54,26 +53,30 @@ def run(options: Options) -> int:
         num_workers=options.num_workers,
         seed=options.seed,
     )
-    try:
-        found = check(request, lambda name: print(name, flush=True))
-    except NotAdoptedError as error:
-        print(error)
-        print(json.dumps({"adopted": False, "reason": error.got}))
-        return 1
-    name = None if options.only_check else switch(request)
-    if name is not None:
-        for call in _after(portability.PACKAGED, options.docs):
-            subprocess.run([sys.executable, "-m", "lerobot_demohlm.cli", *call], check=True)
-    print(json.dumps({"adopted": name is not None, "controller": name, "checks": len(found)}))
+    if options.only_check or not is_default(request.weights):  # else a call before this one ended after the switch
+        try:
+            check(request, lambda name: print(name, flush=True))
+        except NotAdoptedError as error:
+            print(error)
+            print(json.dumps({"adopted": False, "reason": error.got}))
+            return 1
+        if options.only_check:
+            print(json.dumps({"adopted": False, "reason": "only checked; nothing fell short"}))
+            return 0
+        switch(request)
+    for call in _after(options.docs):
+        subprocess.run([sys.executable, *call], check=True)
+    print(json.dumps({"adopted": True, "weights": str(request.weights)}))
     return 0
 
 
-def _after(digests: Path, docs: Path | None) -> list[list[str]]:
-    """Return the calls that make again what depends on the default controller."""
-    calls = [["doctor", "--tasks", "--write", str(digests)]]
+def _after(docs: Path | None) -> list[list[str]]:
+    """Return the calls of Python that make again what depends on the default controller, which new processes have."""
+    calls = [["-m", "lerobot_demohlm.adoption.digests"]]
     if docs is not None:
+        demohlm = ["-m", "lerobot_demohlm.cli"]
         calls += [
-            ["benchmark", "controller", "figures", "--root", str(docs)],
-            ["results", "--output", str(docs / "results.md"), "--readme", str(docs.parent / "README.md")],
+            [*demohlm, "benchmark", "controller", "figures", "--root", str(docs)],
+            [*demohlm, "results", "--output", str(docs / "results.md"), "--readme", str(docs.parent / "README.md")],
         ]
     return calls

@@ -14,7 +14,7 @@ class Options(DoctorOptions):
     """Options of ``demohlm doctor``.
 
     Attributes:
-        tasks: Compare the behaviour of all ten tasks, too, which takes about a minute.
+        tasks: Compare the behaviour of all packaged tasks, too, which takes about a minute.
         write: Write this machine's digests to this file, in the format of digests.json.
         append: Append a line about this processor to this file of results.
     """

@@ -26,6 +26,7 @@ class _Message:
     SIZE: int
     _FIRST_MODE: int  # byte of the body with the mode of the first motor
     _SPLIT: int  # word of the body that this mode shares with what comes before it
+    _modes: np.ndarray  # (35,) bytes of the body with the modes of the motors
 
     def __init__(self, content: bytes | None = None) -> None:
         self.buffer = np.zeros(self.SIZE, np.uint8)
@@ -37,6 +38,15 @@ class _Message:
             self.buffer[:] = np.frombuffer(content, np.uint8)
         self._body = self.buffer[4:]
         self._words = self._body.view("<u4")
+
+    @property
+    def mode(self) -> np.ndarray:
+        """(35,) uint8 modes of the motors, a copy; 1 is enabled."""
+        return self._body[self._modes]
+
+    @mode.setter
+    def mode(self, values: np.ndarray | int) -> None:
+        self._body[self._modes] = values
 
     def to_bytes(self) -> bytes:
         """Return what is sent."""
@@ -111,15 +121,6 @@ class LowCmd(_Message):
     def mode_machine(self, value: int) -> None:
         self._body[1] = value
 
-    @property
-    def mode(self) -> np.ndarray:
-        """(35,) uint8 modes of the motors, a copy; 1 is enabled."""
-        return self._body[self._modes]
-
-    @mode.setter
-    def mode(self, values: np.ndarray | int) -> None:
-        self._body[self._modes] = values
-
 
 class LowState(_Message):
     """What the robot says of itself.
@@ -183,15 +184,6 @@ class LowState(_Message):
     @mode_pr.setter
     def mode_pr(self, value: int) -> None:
         self._body[8] = value
-
-    @property
-    def mode(self) -> np.ndarray:
-        """(35,) uint8 modes of the motors, a copy."""
-        return self._body[self._modes]
-
-    @mode.setter
-    def mode(self, values: np.ndarray | int) -> None:
-        self._body[self._modes] = values
 
     def is_finite(self) -> bool:
         """Return whether attitude and joints are finite numbers, and the attitude is a rotation."""

@@ -1,6 +1,7 @@
 """A controller is adopted after all checks, which are made once each; one that falls short changes nothing."""
 
 import hashlib
+import importlib.util
 import json
 import shutil
 from pathlib import Path
@@ -16,7 +17,8 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.adoption import adopt
 from lerobot_demohlm.adoption.adopt import FOUND, NotAdoptedError
 from lerobot_demohlm.adoption.steps import Found, Request
-from lerobot_demohlm.cli import main
+from lerobot_demohlm.cli import adopt_controller, main
+from lerobot_demohlm.cli.verbs import VERBS
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 
 
@@ -94,6 +96,23 @@ def test_what_fell_short_falls_short_again_without_being_made_again(
         with pytest.raises(NotAdoptedError, match="96 of 100"):
             adopt.check(Request(weights=DEFAULT_WEIGHTS, work=tmp_path / "work"))
     assert len(made) == 1
+
+
+def test_what_follows_a_switch_is_made_again_without_the_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A call that was killed after the switch: the controller is the default one already."""
+    calls: list[list[str]] = []
+    monkeypatch.setattr(adopt_controller.subprocess, "run", lambda call, check: calls.append(call[1:]))
+    words = ["adopt-controller", str(DEFAULT_WEIGHTS), "--work", str(tmp_path / "work"), "--docs", str(tmp_path)]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["adopted"] is True
+    assert not (tmp_path / "work").exists()
+    assert [call[1] for call in calls] == ["lerobot_demohlm.adoption.digests", *["lerobot_demohlm.cli"] * 2]
+    assert importlib.util.find_spec(calls[0][1]) is not None
+    for _, _, *arguments in calls[1:]:
+        verb = next(verb for verb in reversed(VERBS) if tuple(arguments[: len(verb.words)]) == verb.words)
+        assert verb.name in ("benchmark controller figures", "results")
 
 
 @pytest.mark.parametrize("killed_at", [None, "install", "copytree", "rename", "make_default"])
