@@ -29,13 +29,13 @@ class Options:
 
 
 def run(options: Options) -> None:
-    """Print a table, then one line of JSON; numbers of the latest line of the results that names a controller."""
+    """Print a table, then one line of JSON; a controller's numbers are those of its latest line over all commands."""
     from gym_demohlm import jsonl
     from gym_demohlm.control import controllers
     from gym_demohlm.control.whole_body import Weights
 
     lines = jsonl.read(options.results) if options.results is not None else []
-    measured = {line["controller"]: line for line in lines if "controller" in line}
+    measured = {line["controller"]: line for line in lines if "controller" in line and not line.get("velocity_only")}
     rows: list[dict[str, Any]] = []
     for controller in controllers.installed():
         weights = Weights(controller.path)

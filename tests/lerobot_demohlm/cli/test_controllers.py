@@ -1,0 +1,28 @@
+"""`demohlm controllers` lists what is installed, with the numbers of the whole range of commands."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gym_demohlm import jsonl
+from gym_demohlm.control import controllers
+from lerobot_demohlm import cli
+
+
+def test_every_controller_is_listed_with_its_latest_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    default = next(controller for controller in controllers.installed() if controller.is_default)
+    lines = [
+        {"controller": default.name, "survival": survival, "velocity_only": light}
+        for survival, light in ((0.5, False), (0.9375, False), (1.0, True))
+    ]
+    jsonl.append(tmp_path / "controller.jsonl", [*lines, {"survival": 0.1}])
+    assert cli.main(["controllers", "--results", str(tmp_path / "controller.jsonl")]) == 0
+    *table, last = capsys.readouterr().out.splitlines()
+    rows = json.loads(last)
+    assert [row["name"] for row in rows] == [controller.name for controller in controllers.installed()]
+    assert [row["default"] for row in rows] == [True] + [False] * (len(rows) - 1)
+    assert rows[0]["survival"] == 0.9375
+    assert rows[0]["linear_velocity_error"] is None
+    assert len(table) == 1 + len(rows)
+    assert "(default)" in table[1] and "0.938" in table[1]
