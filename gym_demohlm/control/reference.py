@@ -248,6 +248,9 @@ class Reference:
             pitch of the pelvis [rad], and how far hip pitch, knee and ankle pitch give [rad].
         arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
         gait: How it walks.
+
+    Attributes:
+        ahead: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far ahead of its ankles the pelvis is, arms at home [m].
     """
 
     def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray, gait: Gait = GAIT) -> None:
@@ -255,8 +258,7 @@ class Reference:
         self.posture_table = np.array(posture_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
         shift, tilt = self.posture_table[..., 0], self.posture_table[..., 1]
-        # Lists: a few numbers at a time are sooner found in them.
-        self._ahead = (g1.HIP_DROP * np.sin(tilt) - shift).tolist()
+        self.ahead = g1.HIP_DROP * np.sin(tilt) - shift
 
     def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Interpolate the table: heights, forward leans (N,) -> ankle shift, pelvis pitch (N,), sag of a leg (N, 3)."""
@@ -285,7 +287,7 @@ class Reference:
             The distance [m], and its derivatives by height [m/m] and by pitch [m/rad].
         """
         (i, u, rows), (j, v, columns) = _cell(height, TABLE_HEIGHTS), _cell(pitch, TABLE_PITCHES)
-        (a, b), (c, d) = self._ahead[i][j : j + 2], self._ahead[i + 1][j : j + 2]
+        (a, b), (c, d) = self.ahead[i, j : j + 2], self.ahead[i + 1, j : j + 2]
         low, high = a + v * (b - a), c + v * (d - c)
         return low + u * (high - low), (high - low) * rows, ((b - a) + u * (d - c - b + a)) * columns
 
