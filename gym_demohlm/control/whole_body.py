@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.arithmetic import ExactProduct, elu
+from gym_demohlm.arithmetic import ExactProduct
 from gym_demohlm.control import arm_load, command, features, reference
+from gym_demohlm.control.kernels import network
 from gym_demohlm.control.kernels import tick as kernels
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Settings
@@ -205,20 +206,23 @@ class WholeBodyController:
         kernels.perceive(
             self._numbers, before, *sensors, commands, command.ARMS.start, after, observed, told, attitude
         )  # fmt: skip
-        action = np.clip(self._act(observed), -features.ACTION_LIMIT, features.ACTION_LIMIT)
+        action = self._act(observed)
         kernels.targets(self._numbers, after, told, attitude, action, self._lower, self._upper, targets)
         self.state[chosen] = after
         np.clip(commands[:, command.ARMS], self._lower[_ARMS], self._upper[_ARMS], out=targets[:, _ARMS])
         return targets
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
-        """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        inputs = len(self.weights.mean)
-        latent = (observed[:, :inputs] - self.weights.mean) * self.weights.scale  # the first product clips it
-        mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
-        hidden = np.concatenate([latent, features.mirror(latent, mirror)])
-        for product, bias in self.weights.layers[:-1]:
-            hidden = elu(product(hidden) + bias)
-        product, bias = self.weights.layers[-1]
-        seen, in_mirror = np.split(product(hidden) + bias, 2)
-        return 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
+        """Return the symmetric policy's mean action within its limit, (M, OBSERVATION_SIZE) -> (M, 15)."""
+        weights, limit = self.weights, features.ACTION_LIMIT
+        first, inputs = weights.layers[0][0], len(weights.mean)
+        source, sign = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+        hidden = np.empty((2 * len(observed), inputs))
+        network.enter(observed, weights.mean, weights.scale, source, sign, first.row_step, first.bound, hidden)
+        for (product, bias), (following, _) in pairwise(weights.layers):
+            hidden = product.of_steps(hidden)
+            network.activate(hidden, bias, following.row_step, following.bound)
+        product, bias = weights.layers[-1]
+        action = np.empty((len(observed), features.ACTION_SIZE))
+        network.leave(product.of_steps(hidden), bias, *features.ACTION_MIRROR, limit, action)
+        return action

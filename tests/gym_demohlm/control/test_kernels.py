@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gym_demohlm.arithmetic import elu
 from gym_demohlm.control import command, features
 from gym_demohlm.control.kernels import compiler
 from gym_demohlm.control.proprioception import Proprioception
@@ -44,12 +45,26 @@ def _sensed(rng: np.random.Generator, count: int, wild: float) -> Proprioception
     )
 
 
+def _policy(controller: WholeBodyController, observed: np.ndarray) -> np.ndarray:
+    """Return the mean action of robots and their mirror, within its limit, by the functions of arrays."""
+    weights, inputs = controller.weights, len(controller.weights.mean)
+    latent = (observed[:, :inputs] - weights.mean) * weights.scale
+    mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+    hidden = np.concatenate([latent, features.mirror(latent, mirror)])
+    for product, bias in weights.layers[:-1]:
+        hidden = elu(product(hidden) + bias)
+    product, bias = weights.layers[-1]
+    seen, in_mirror = np.split(product(hidden) + bias, 2)
+    action = 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
+    return np.clip(action, -features.ACTION_LIMIT, features.ACTION_LIMIT)
+
+
 def _in_numpy(controller: WholeBodyController, sensed: Proprioception, commands: np.ndarray) -> np.ndarray:
     """Return what ``controller.step`` is to return, and move its state, by the NumPy functions."""
     tick = Tick(controller.reference, controller.settings)
     arms = commands[:, command.ARMS]
     situation = tick.perceive(controller.state, Sensors.of(sensed), commands, arms[:, features.OBSERVED_ARM_INDEX])
-    action = np.clip(controller._act(situation.observation()), -features.ACTION_LIMIT, features.ACTION_LIMIT)
+    action = _policy(controller, situation.observation())
     controller.state = situation.remember(action)
     ranges = g1.joint_ranges(g1.read_mjcf())[features.ACTION_SIZE :]
     return np.concatenate([tick.targets(situation, action), np.clip(arms, ranges[:, 0], ranges[:, 1])], axis=1)
