@@ -55,7 +55,7 @@ class Carrying:
     ) -> None:
         self.resumes = 0
         self._world, self._task, self._demonstration = world, task, demonstration
-        self._settings = replace(settings, max_velocity=MAX_VELOCITY, max_ticks=MAX_TICKS)
+        self._settings = replace(settings, max_velocity=MAX_VELOCITY, max_ticks=MAX_TICKS, straight=True)
         self._names = [entry.name for entry in task.objects]
         self._goals = [entry for entry in segments if entry.held is not None]
         goal_starts = {entry.start: entry for entry in self._goals}
