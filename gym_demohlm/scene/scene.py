@@ -112,7 +112,8 @@ class Scene:
         sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
         self._frames = bodies | sites
         self._frames |= {alias: self._frames[name] for alias, name in FRAME_ALIASES.items()}
-        self._supports = tuple(self._mocap_index(name) for name in task.supports)
+        placed = {entry.name for entry in task.objects}  # a support that is tracked too is placed as an object is
+        self._supports = tuple(self._mocap_index(name) for name in task.supports if name not in placed)
         self._top = table_top(spec, task) if "scene" in variation.groups else None
 
     def frame(self, name: str) -> tuple[str, int]:
