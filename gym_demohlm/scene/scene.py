@@ -15,6 +15,7 @@ from gym_demohlm.robot import g1, neck
 from gym_demohlm.robot.physics import Physics
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
 from gym_demohlm.scene.furniture import add_picture
+from gym_demohlm.scene.shapes import Shapes
 from gym_demohlm.task import InitialState, ObjectSpec, Task
 from gym_demohlm.variation import NONE, Conditions, Variation
 from gym_demohlm.variation.bodies import lowest_point, vary
@@ -30,6 +31,7 @@ FRAME_ALIASES = {"torso": "torso_link"}
 
 _SHOT, _LEAD = np.array([0.5, 0.35, 0.0]), 11340.0  # place of the shot in a box, in half lengths; kg/m^3
 _CONTACT_SLOTS = 8  # the strongest contacts of a pair; their normal forces are summed
+_SHAPES_KEPT = 256  # worlds whose shapes are remembered
 _MAX_FORCE = 2  # a contact sensor's reduction: keep the contacts with the largest force
 
 
@@ -98,6 +100,8 @@ class Scene:
             ) from error
         self.untouched = _without_noslip(self.physics)
         self._specs = (spec, bare) if variation else None
+        self._plain_shapes = Shapes.of(self.model)
+        self._known_shapes: dict[tuple[tuple[str, tuple[float, ...]], ...], Shapes] = {}
         self._gains: tuple[Sequence[float], Sequence[float]] | None = None
         model = self.model
         base = model.joint("floating_base_joint")
@@ -158,11 +162,24 @@ class Scene:
                 servo.biasprm[1:3] = plain.biasprm[1:3] * ratio
         return model, _without_noslip(model)
 
+    def shapes(self, conditions: Conditions) -> Shapes:
+        """Return the shapes that a world has under some conditions, for drawing.
+
+        Raises:
+            SceneError: See ``world_models``.
+        """
+        if not conditions:
+            return self._plain_shapes
+        key = tuple(sorted(conditions.values.items()))
+        if key not in self._known_shapes:
+            if len(self._known_shapes) >= _SHAPES_KEPT:
+                self._known_shapes.clear()
+            self._known_shapes[key] = Shapes.of(self._varied(conditions, drawn=True))
+        return self._known_shapes[key]
+
     def dress(self, conditions: Conditions) -> None:
         """Give the model, which worlds share, the shapes that one of them has, to draw it."""
-        source = self._varied(conditions, drawn=True)
-        for name in ("geom_size", "geom_pos", "geom_rbound", "geom_aabb"):
-            getattr(self.model, name)[:] = getattr(source, name)
+        self.shapes(conditions).put_on(self.model)
 
     def _varied(self, conditions: Conditions, *, drawn: bool) -> mujoco.MjModel:
         """Compile the model of a world, with its visual geoms or without."""
@@ -377,9 +394,9 @@ def build_scene(task: Task, physics: Physics | None = None, variation: Variation
     return Scene(task, physics, variation)
 
 
-def scene_spec(task: Task) -> mujoco.MjSpec:
+def scene_spec(task: Task, variation: Variation = NONE) -> mujoco.MjSpec:
     """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
-    return _build_spec(task, None)
+    return _build_spec(task, None, variation)
 
 
 def _without_noslip(model: mujoco.MjModel) -> mujoco.MjModel:
