@@ -15,6 +15,7 @@ from gym_demohlm.robot import g1, neck
 from gym_demohlm.robot.physics import Physics
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names
 from gym_demohlm.scene.building import CONTACT_SLOTS, collision_name, contact_name, scene_spec
+from gym_demohlm.scene.shapes import Shapes
 from gym_demohlm.task import InitialState, ObjectSpec, Task
 from gym_demohlm.variation import NONE, Conditions, Variation
 from gym_demohlm.variation.bodies import lowest_point, vary
@@ -23,6 +24,8 @@ from gym_demohlm.variation.surroundings import place_clutter, resize_clutter, ta
 
 FRAME_ALIASES = {"torso": "torso_link"}
 """Short names of frames -> names in the MJCF. Every name of a body or site is a frame name too."""
+
+_SHAPES_KEPT = 256  # worlds whose shapes are remembered
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ class Scene:
             ) from error
         self.untouched = _without_noslip(self.physics)
         self._specs = (spec, bare) if variation else None
+        self._plain_shapes = Shapes.of(self.model)
+        self._known_shapes: dict[tuple[tuple[str, tuple[float, ...]], ...], Shapes] = {}
         self._gains: tuple[Sequence[float], Sequence[float]] | None = None
         model = self.model
         base = model.joint("floating_base_joint")
@@ -151,11 +156,24 @@ class Scene:
                 servo.biasprm[1:3] = plain.biasprm[1:3] * ratio
         return model, _without_noslip(model)
 
+    def shapes(self, conditions: Conditions) -> Shapes:
+        """Return the shapes that a world has under some conditions, for drawing.
+
+        Raises:
+            SceneError: See ``world_models``.
+        """
+        if not conditions:
+            return self._plain_shapes
+        key = tuple(sorted(conditions.values.items()))
+        if key not in self._known_shapes:
+            if len(self._known_shapes) >= _SHAPES_KEPT:
+                self._known_shapes.clear()
+            self._known_shapes[key] = Shapes.of(self._varied(conditions, drawn=True))
+        return self._known_shapes[key]
+
     def dress(self, conditions: Conditions) -> None:
         """Give the model, which worlds share, the shapes that one of them has, to draw it."""
-        source = self._varied(conditions, drawn=True)
-        for name in ("geom_size", "geom_pos", "geom_rbound", "geom_aabb"):
-            getattr(self.model, name)[:] = getattr(source, name)
+        self.shapes(conditions).put_on(self.model)
 
     def _varied(self, conditions: Conditions, *, drawn: bool) -> mujoco.MjModel:
         """Compile the model of a world, with its visual geoms or without."""
