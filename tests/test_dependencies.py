@@ -18,7 +18,7 @@ BY_HAND = {
     "atheris": {"lerobot_demohlm/benchmarks/fuzz_loaders.py"},
     "holosoma_inference": {"gym_demohlm/wbc/evaluation/peer.py"},
     "playwright": {"lerobot_demohlm/benchmarks/teleoperation.py"},
-    "pyrealsense2": {"lerobot_demohlm/hardware/apriltag.py"},
+    "pyrealsense2": {"lerobot_demohlm/hardware/camera.py"},
     "onnxruntime": {"gym_demohlm/wbc/evaluation/peer.py"},
 }
 """Modules that only these files import, and whose docstring or error says how to install them."""

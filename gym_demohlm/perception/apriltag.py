@@ -1,5 +1,6 @@
 """Drawn pictures of objects that wear AprilTags -> their poses, as most laboratories have them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -11,7 +12,7 @@ from gym_demohlm.perception.picture import photographed
 from gym_demohlm.perception.rgbd import mounting_of
 from gym_demohlm.perception.seeing import Eyes, SeeingPerceiver, Sighting
 from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, PerceptionSettings
-from gym_demohlm.perception.tag_layout import Tag, tagged_model
+from gym_demohlm.perception.tag_layout import Tag, is_tag, tagged_model
 from gym_demohlm.perception.tags import TagFinder, object_pose
 from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.simulation import Simulation
@@ -50,10 +51,31 @@ class AprilTagPerceiver(SeeingPerceiver):
         eyes.memory = _Memory([None] * len(self._task.objects))
 
     def _open(self, sim: Simulation) -> VisualModel:
-        model, tags = tagged_model(self._task, sim.model)
+        model, self._printed = tagged_model(sim.scene)
+        self._know({})
+        worn = is_tag(model)
+        self._plates, self._places = np.flatnonzero(worn), model.geom_pos[worn].copy()
+        return VisualModel(model, geoms=np.flatnonzero(~worn))
+
+    def _wear(self, visual: VisualModel, sim: Simulation, row: int) -> None:
+        """Move tags with the faces of objects that are larger or smaller; who stuck them there measured where."""
+        super()._wear(visual, sim, row)
+        if not sim.variation:
+            return
+        conditions = sim.conditions(row)
+        sizes = {name: conditions.number("objects.size", name, plain=1.0) for name in sim.scene.loose}
+        for name, size in sizes.items():
+            own = visual.model.geom_bodyid[self._plates] == visual.model.body(name).id
+            visual.model.geom_pos[self._plates[own]] = size * self._places[own]
+        self._know(sizes)
+
+    def _know(self, sizes: Mapping[str, float]) -> None:
+        """Note where the robot takes the tags to be on objects of some sizes, over the plain ones."""
         scale = self._settings.mesh_scale
-        self._tags = tuple(tuple(_scaled(tag, scale) for tag in worn) for worn in tags)
-        return VisualModel(model)
+        self._tags = tuple(
+            tuple(_scaled(tag, scale, sizes.get(entry.name, 1.0)) for tag in worn)
+            for entry, worn in zip(self._task.objects, self._printed, strict=True)
+        )
 
     def _look(
         self, visual: VisualModel, eyes: Eyes, T_odom_optical: np.ndarray, palms: dict[str, np.ndarray]
@@ -92,8 +114,8 @@ class AprilTagPerceiver(SeeingPerceiver):
         return camera.window_around(np.concatenate(uv), _MARGIN, intrinsics) or everything
 
 
-def _scaled(tag: Tag, factor: float) -> Tag:
-    """Return a tag as it is known where all lengths are off by a factor."""
+def _scaled(tag: Tag, factor: float, size: float) -> Tag:
+    """Return a tag as it is known on an object of a size, where all known lengths are off by a factor."""
     T = tag.T_object_tag.copy()
-    T[:3, 3] *= factor
+    T[:3, 3] *= factor * size
     return Tag(id=tag.id, T_object_tag=T, edge=tag.edge * factor)

@@ -4,6 +4,7 @@ An object's shape is that of its body and of what is fixed to it. A thin bar's t
 so a bar that is part of a larger rigid thing, as a handle is of a door, is tracked by that whole thing.
 """
 
+import copy
 import itertools
 import math
 from collections.abc import Sequence
@@ -15,7 +16,9 @@ from scipy.spatial import ConvexHull
 
 from gym_demohlm import poses
 from gym_demohlm.errors import SceneError
+from gym_demohlm.scene import Scene
 from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.variation import Conditions
 
 SLICES = 28  # sides of a round part, as many as MuJoCo draws
 TRANSPARENT = 0.5  # a part whose alpha is below is seen through by a depth camera
@@ -92,6 +95,19 @@ class ObjectMesh:
             spec=self.spec,
             fixed=self.fixed,
         )
+
+
+def known_meshes(scene: Scene) -> tuple[ObjectMesh, ...]:
+    """Return the shapes that a robot knows of a scene's tracked objects: the plain ones, whatever its worlds have.
+
+    Raises:
+        SceneError: An object has nothing that is seen.
+    """
+    if not scene.variation:
+        return object_meshes(scene.model, scene.task)
+    model = copy.copy(scene.model)  # which may be dressed as one of the worlds
+    scene.shapes(Conditions()).put_on(model)
+    return object_meshes(model, scene.task)
 
 
 def object_meshes(model: mujoco.MjModel, task: Task) -> tuple[ObjectMesh, ...]:

@@ -1,19 +1,19 @@
 """Drawn pictures -> a pose server elsewhere -> poses: FoundationPose, or whatever stands behind it.
 
 A robot does not wait for its eyes. While an answer is outstanding, the last pose is held; an answer that comes late is
-taken for what it is: the pose at the time of its picture. What cannot be used is counted, with its reason.
+taken for what it is: the pose at the time of its picture.
 """
 
 import uuid
-from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
 import zmq
 
 from gym_demohlm.perception import d435, masks, wire
-from gym_demohlm.perception.meshes import ObjectMesh, object_meshes
+from gym_demohlm.perception.meshes import ObjectMesh, known_meshes
 from gym_demohlm.perception.picture import photographed
+from gym_demohlm.perception.pose_client import PoseClient
 from gym_demohlm.perception.rgbd import mounting_of
 from gym_demohlm.perception.seeing import Eyes, SeeingPerceiver, Sighting
 from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, PerceptionSettings
@@ -22,10 +22,6 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
 
-NO_ANSWER = "no answer in time"
-LATE = "an answer that came late"
-_GIVEN_UP = 20  # frames after which a server that has not answered is called anew
-_GLANCE_MS = 20  # how long an answer is waited for that was late already
 _LEAST_PATCH = 40  # px
 
 
@@ -36,19 +32,16 @@ class _Memory:
     Attributes:
         scale: The depth camera's factor.
         session: Of the server.
+        client: Asks it.
         frame: Number of the next picture.
-        asked: Number of the picture that is not answered yet, where the camera was, and its number of frames ago.
         sightings: What is known of each object.
-        faults: How often what went wrong.
     """
 
     scale: float
     session: str
-    socket: "zmq.Socket[bytes] | None" = None
+    client: PoseClient
     frame: int = 0
-    asked: tuple[int, np.ndarray] | None = None
     sightings: list[Sighting | None] = field(default_factory=list)
-    faults: Counter[str] = field(default_factory=Counter)
 
 
 class RemotePerceiver(SeeingPerceiver):
@@ -72,7 +65,7 @@ class RemotePerceiver(SeeingPerceiver):
     def faults(self, row: int) -> dict[str, int]:
         """Return how often what went wrong in the episode of a world."""
         eyes = self._eyes[row]
-        return dict(eyes.memory.faults) if eyes is not None and isinstance(eyes.memory, _Memory) else {}
+        return dict(eyes.memory.client.faults) if eyes is not None and isinstance(eyes.memory, _Memory) else {}
 
     def close(self) -> None:
         """Give the graphics context back and hang up."""
@@ -83,11 +76,12 @@ class RemotePerceiver(SeeingPerceiver):
         eyes.memory = _Memory(
             scale=d435.episode_scale(self._noise, eyes.rng),
             session=uuid.uuid4().hex,
+            client=PoseClient(self._context, self._settings.address, self._settings.timeout_s),
             sightings=[None] * len(self._task.objects),
         )
 
     def _open(self, sim: Simulation) -> VisualModel:
-        self._meshes = object_meshes(sim.model, self._task)
+        self._meshes = known_meshes(sim.scene)
         return VisualModel(sim.model)
 
     def _look(
@@ -97,14 +91,14 @@ class RemotePerceiver(SeeingPerceiver):
         assert isinstance(memory, _Memory)
         request = self._request(visual, eyes, memory, T_odom_optical, palms)
         memory.sightings = [_older(sighting) for sighting in memory.sightings]
-        wait_ms = round(1e3 * self._settings.timeout_s)
-        if memory.asked is None:
-            memory.asked = memory.frame, T_odom_optical
-            self._socket(memory).send_multipart([b"", *wire.pack_request(request)])
-        else:
-            wait_ms = min(wait_ms, _GLANCE_MS)
-        self._listen(memory, wait_ms)
+        told = memory.client.look(request)
         memory.frame += 1
+        for k, answer in enumerate(() if told is None else told.answers):
+            if answer.valid:
+                assert told is not None
+                T = told.request.T_odom_optical @ answer.T_optical_object
+                age_s = STEP_DT * told.late
+                memory.sightings[k] = Sighting(T_odom_object=T, valid=told.late == 0, age_s=age_s)
         return list(memory.sightings)
 
     def _request(
@@ -135,41 +129,6 @@ class RemotePerceiver(SeeingPerceiver):
             depth=depth,
             masks=found,
         )
-
-    def _socket(self, memory: _Memory) -> "zmq.Socket[bytes]":
-        if memory.socket is None:
-            memory.socket = self._context.socket(zmq.DEALER)
-            memory.socket.linger = 0
-            memory.socket.connect(self._settings.address)
-        return memory.socket
-
-    def _listen(self, memory: _Memory, wait_ms: int) -> None:
-        """Take what the server has said; note what is wrong with it, or that it has said nothing."""
-        assert memory.asked is not None
-        asked, T_odom_optical = memory.asked
-        if not self._socket(memory).poll(wait_ms):
-            memory.faults[NO_ANSWER] += 1
-            if memory.frame - asked >= _GIVEN_UP:
-                self._socket(memory).close()
-                memory.socket = memory.asked = None
-            return
-        message = self._socket(memory).recv_multipart()[-1]
-        memory.asked = None
-        try:
-            frame, answers = wire.unpack_answers(message, len(self._task.objects))
-            if frame != asked:
-                raise ValueError("an answer to another picture")
-        except ValueError as error:
-            memory.faults[str(error)] += 1
-            return
-        age_s = STEP_DT * (memory.frame - asked)
-        memory.faults.update([LATE] if age_s > 0 else [])
-        for k, answer in enumerate(answers):
-            if answer.valid:
-                T = T_odom_optical @ answer.T_optical_object
-                memory.sightings[k] = Sighting(T_odom_object=T, valid=age_s == 0.0, age_s=age_s)
-            else:
-                memory.faults[answer.reason or "an object that the server has lost"] += 1
 
 
 def _older(sighting: Sighting | None) -> Sighting | None:

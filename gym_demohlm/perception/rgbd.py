@@ -7,7 +7,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception import camera, d435, masks
-from gym_demohlm.perception.meshes import TRANSPARENT, ObjectMesh, object_meshes
+from gym_demohlm.perception.meshes import TRANSPARENT, ObjectMesh, known_meshes
 from gym_demohlm.perception.picture import photographed
 from gym_demohlm.perception.seeing import Eyes, Mounting, SeeingPerceiver, Sighting
 from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, SHIFT_OF_DEGREE, PerceptionSettings
@@ -63,10 +63,18 @@ def mounting_of(settings: PerceptionSettings) -> Mounting:
 
 @dataclass
 class _Memory:
-    """What is remembered of one world: the depth camera's factor and the objects' tracks."""
+    """What is remembered of one world.
+
+    Attributes:
+        scale: The depth camera's factor.
+        trackers: One an object.
+        guessed: Objects that were found before what carries them was: which of the poses that look the same is theirs
+            was a guess.
+    """
 
     scale: float
     trackers: list[Tracker]
+    guessed: set[int] = field(default_factory=set)
 
 
 class RgbdPerceiver(SeeingPerceiver):
@@ -91,7 +99,7 @@ class RgbdPerceiver(SeeingPerceiver):
 
     def _open(self, sim: Simulation) -> VisualModel:
         visual, model = VisualModel(sim.model), sim.model
-        self._meshes = object_meshes(model, self._task)
+        self._meshes = known_meshes(sim.scene)
         seen = (model.geom_rgba[:, 3] > 0) & (model.geom_rgba[:, 3] < TRANSPARENT)
         self._transparent = np.flatnonzero(seen)
         pelvis = model.body("pelvis").id
@@ -127,7 +135,22 @@ class RgbdPerceiver(SeeingPerceiver):
                 in_front[k],
                 self._lies(entry, trackers, T_odom_optical),
             )
+            self._settle(k, memory, T_odom_optical)
         return [sighting_of(tracker) for tracker in trackers]
+
+    def _settle(self, k: int, memory: _Memory, T_odom_optical: np.ndarray) -> None:
+        """Correct how an object was taken to lie, when what carries it is found after it."""
+        carrier = self._task.objects[k].moves_with
+        if carrier is None or memory.trackers[k].track is None:
+            return
+        names = [entry.name for entry in self._task.objects]
+        if memory.trackers[names.index(carrier)].track is None:
+            memory.guessed.add(k)
+        elif k in memory.guessed:
+            memory.guessed.remove(k)
+            lies = self._lies(self._task.objects[k], memory.trackers, T_odom_optical)
+            assert lies is not None  # as its carrier does
+            memory.trackers[k].settle(T_odom_optical, lies)
 
     def _masks(
         self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: list[Tracker], T_odom_optical: np.ndarray

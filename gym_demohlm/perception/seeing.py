@@ -118,6 +118,7 @@ class SeeingPerceiver(ABC):
                 self.begin(np.array([row]), [int(row)])
             eyes = self._eyes[row]
             assert eyes is not None
+            self._wear(visual, sim, int(row))
             placed = [poses.split(T[row]) for T in mocap]
             positions = np.array([position for position, _ in placed]).reshape(-1, 3)
             visual.place(qpos[row], positions, np.array([quat for _, quat in placed]).reshape(-1, 4))
@@ -165,6 +166,11 @@ class SeeingPerceiver(ABC):
         if self._visual is None:
             self._visual = self._open(sim)
         return self._visual
+
+    def _wear(self, visual: VisualModel, sim: Simulation, row: int) -> None:
+        """Have the drawn scene the sizes of a world's own; what the robot knows of objects stays as it is."""
+        if sim.variation:
+            visual.wear(sim.scene.shapes(sim.conditions(row)))
 
     def _moved(self, eyes: Eyes, T_world_optical: np.ndarray) -> np.ndarray:
         """Let odometry err by a share of the camera's motion; always the same number of draws."""

@@ -67,7 +67,8 @@ class Sight:
         return faults_of(self._perceiver, row)
 
     def close(self) -> None:
-        """Give back what the perceiver holds."""
+        """Give back what the perceiver holds; the neck sees exactly again."""
+        self._sim.p_camera_gaze = None
         self._perceiver.close()
 
 

@@ -24,6 +24,8 @@ class SmallPictures:
 
     def rgb(self, world: int) -> np.ndarray:
         """Return a world's picture (height, width, 3) uint8."""
+        if self._sim.variation:
+            self._visual.wear(self._sim.scene.shapes(self._sim.conditions(world)))
         snapshot = self._sim.snapshot(np.array([world]))
         mocap, count = snapshot["mocap"][0], self._sim.model.nmocap
         self._visual.place(self._sim.qpos[world], mocap[: 3 * count].reshape(-1, 3), mocap[3 * count :].reshape(-1, 4))

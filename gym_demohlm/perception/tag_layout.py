@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception.meshes import ObjectMesh, Part, object_meshes
-from gym_demohlm.scene import scene_spec
-from gym_demohlm.task import Task
+from gym_demohlm.perception.meshes import ObjectMesh, Part, known_meshes
+from gym_demohlm.scene import Scene, scene_spec
 
 FAMILY = "tag36h11"
 CELLS = 10  # of a tag with its white border, 8 of them within the black one
@@ -65,15 +64,14 @@ def layout(meshes: tuple[ObjectMesh, ...]) -> tuple[tuple[Tag, ...], ...]:
     return tuple(found)
 
 
-def tagged_model(task: Task, model: mujoco.MjModel) -> tuple[mujoco.MjModel, tuple[tuple[Tag, ...], ...]]:
+def tagged_model(scene: Scene) -> tuple[mujoco.MjModel, tuple[tuple[Tag, ...], ...]]:
     """Return a compiled scene whose objects wear tags, and the tags of each object.
 
     Args:
-        task: The task.
-        model: Its compiled scene; the one with tags has the same joints and bodies.
+        scene: The scene; the one with tags has the same joints and bodies.
     """
-    tags = layout(object_meshes(model, task))
-    spec = scene_spec(task)
+    task, tags = scene.task, layout(known_meshes(scene))
+    spec = scene_spec(task, variation=scene.variation)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for entry, worn in zip(task.objects, tags, strict=True):
         body = spec.body(entry.name)
@@ -95,6 +93,11 @@ def tagged_model(task: Task, model: mujoco.MjModel) -> tuple[mujoco.MjModel, tup
                 group=2,
             )
     return spec.compile(), tags
+
+
+def is_tag(model: mujoco.MjModel) -> np.ndarray:
+    """Return which geoms (ngeom,) of a scene with tags are tags; the others are those of the plain scene, in order."""
+    return np.array([model.geom(geom).name.startswith("tag_") for geom in range(model.ngeom)])
 
 
 def _add_material(spec: mujoco.MjSpec, name: str, black: np.ndarray) -> None:

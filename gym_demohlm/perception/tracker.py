@@ -142,6 +142,19 @@ class Tracker:
         )
         return self.track
 
+    def settle(self, T_odom_optical: np.ndarray, R_odom_object: np.ndarray) -> None:
+        """Choose anew among the poses that look the same, once it is known how the object lies.
+
+        Args:
+            T_odom_optical: The camera's pose in odometry coordinates.
+            R_odom_object: (3, 3) roughly how it lies.
+        """
+        if self.track is None:
+            return
+        T = self._like(poses.invert(T_odom_optical) @ self.track.T_odom_object, T_odom_optical[:3, :3].T, R_odom_object)
+        self.track = replace(self.track, T_odom_object=T_odom_optical @ T)
+        self._last = replace(self._last, T=T)
+
     def _held(self, dt: float) -> Track | None:
         """Keep what is known."""
         if self.track is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception import camera
-from gym_demohlm.perception.meshes import object_meshes
+from gym_demohlm.perception.meshes import known_meshes
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 
@@ -25,7 +25,7 @@ class Visibility:
     """
 
     def __init__(self, sim: Simulation) -> None:
-        self._points = np.stack([_spread(mesh.vertices) for mesh in object_meshes(sim.model, sim.task)])  # (k, p, 3)
+        self._points = np.stack([_spread(mesh.vertices) for mesh in known_meshes(sim.scene)])  # (k, p, 3)
         self._intrinsics = camera.head_intrinsics()
 
     def shares(self, sim: Simulation, rows: np.ndarray, T_camera_object: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.errors import SceneError
 from gym_demohlm.perception.camera import Intrinsics, Window, head_intrinsics, whole
+from gym_demohlm.scene.shapes import Shapes
 
 CELL = 0.010  # m, edge of the cells in which vertices are clustered
 _DRAWN_GROUPS = 3  # MuJoCo draws geom groups 0, 1 and 2
@@ -80,6 +81,7 @@ class VisualModel:
         intrinsics: The camera; the head's D435 by default.
         cell: See ``cluster_vertices``; 0 keeps all vertices.
         camera: Name of the camera in the scene.
+        geoms: (n,) which geoms the shapes are of that ``wear`` is given; all by default.
 
     Attributes:
         model: The copy that is drawn.
@@ -91,7 +93,12 @@ class VisualModel:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, intrinsics: Intrinsics | None = None, cell: float = CELL, camera: str = "head"
+        self,
+        model: mujoco.MjModel,
+        intrinsics: Intrinsics | None = None,
+        cell: float = CELL,
+        camera: str = "head",
+        geoms: np.ndarray | None = None,
     ) -> None:
         self.intrinsics = intrinsics or head_intrinsics()
         self.model = copy.copy(model)
@@ -102,7 +109,9 @@ class VisualModel:
         if size[0] > limit.offwidth or size[1] > limit.offheight:
             raise SceneError(f"an image of {size}", f"at most {limit.offwidth}x{limit.offheight}", "ask for less")
         self._groups = self.model.geom_group.copy()
-        self._radius = np.where(self.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, np.inf, self.model.geom_rbound)
+        self._worn: Shapes | None = None
+        self._geoms: np.ndarray | slice = slice(None) if geoms is None else geoms
+        self._measure()
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
         self._camera.fixedcamid = self.model.camera(camera).id
@@ -126,6 +135,17 @@ class VisualModel:
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
+
+    def wear(self, shapes: Shapes) -> None:
+        """Draw a world of these shapes from now on, see ``Scene.shapes``."""
+        if shapes is not self._worn:
+            self._worn = shapes
+            shapes.put_on(self.model, self._geoms)
+            self._measure()
+
+    def _measure(self) -> None:
+        """Note how far each geom reaches from its middle."""
+        self._radius = np.where(self.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, np.inf, self.model.geom_rbound)
 
     def place(self, qpos: np.ndarray, mocap_pos: np.ndarray, mocap_quat: np.ndarray) -> None:
         """Bring bodies, camera and lights where a state has them.

@@ -4,7 +4,7 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.cli.parsing import default
@@ -21,15 +21,16 @@ class Options:
         policy: A pretrained_model directory of `demohlm train` or lerobot-train.
         task: Name of the task that it is to do.
         interface: Network interface of the robot; nothing is sent to any other.
-        pose_source: Where objects are: exact and rgbd look at a simulated robot's world, remote hears poses over UDP,
-            apriltag finds tags in a camera's images.
+        pose_source: How objects are seen, as --perception of `demohlm evaluate`, with options behind commas, such as
+            remote,address=tcp://127.0.0.1:5570. With --camera it is remote or apriltag.
         servo_port: Serial port of neck and grippers.
         root: Directory of the record; must not exist.
         domain: Of DDS; a real robot's is 0.
         controller: Name, path or hash of the whole-body controller.
         device: Where the policy runs, such as "cuda".
-        tags: JSON file of which tag is where on which object, for apriltag.
-        camera: Camera of LeRobot as JSON, such as {"type": "intelrealsense", "serial_number_or_name": "..."}.
+        tags: JSON file of which tag is where on which object, for apriltag with a camera.
+        camera: Camera of LeRobot as JSON, such as {"type": "intelrealsense", "serial_number_or_name": "..."}; without
+            one the world of a simulated robot is looked at.
         gamepad: Joystick device whose buttons may stop the robot, such as /dev/input/js0.
         release: Release the robot's own controller first; it goes limp and must hang in its gantry.
         hands_free: Stand and run without a key, for a simulated robot on lo only.
@@ -39,7 +40,7 @@ class Options:
     policy: Path
     task: str
     interface: str
-    pose_source: Literal["exact", "rgbd", "remote", "apriltag"] = "exact"
+    pose_source: str = "exact"
     servo_port: Annotated[str | None, default("none")] = None
     root: Annotated[Path | None, default("no record")] = None
     domain: int = 0

@@ -48,14 +48,14 @@ class DeploymentSettings:
         task: Name of the task.
         interface: Of the network.
         policy: A ``pretrained_model`` directory; None where commands come from LeRobot's own loop.
-        pose_source: One of ``pose_process.SOURCES``.
+        pose_source: With which eyes, see ``pose_process.PoseSettings``.
         servo_port: Serial port of neck and grippers; None where there are none.
         root: Directory of the record; None for no record.
         domain: Of DDS.
         device: Where the policy runs.
         weights: File of the whole-body controller; the packaged one by default.
-        tags: For ``apriltag``.
-        camera: LeRobot's camera as JSON of its configuration, for ``apriltag``.
+        tags: For ``apriltag`` with a camera.
+        camera: LeRobot's camera as JSON of its configuration; a simulated robot's world without one.
         limits: Of commands and measurements.
         ages: Of the watchdogs.
     """
@@ -86,7 +86,12 @@ class DeploymentSettings:
         task = get_task(self.task)
         check_interface(self.interface)
         PoseSettings(
-            source=self.pose_source, task=self.task, folder=Path(), interface=self.interface, tags=self.tags
+            source=self.pose_source,
+            task=self.task,
+            folder=Path(),
+            interface=self.interface,
+            tags=self.tags,
+            camera=self.camera,
         )  # checks
         if task.hands == "gripper" and self.servo_port is None:
             raise RobotError(f"{task.name} without grippers", "the serial port of the grippers", "give --servo-port")

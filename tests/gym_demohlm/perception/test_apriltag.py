@@ -8,7 +8,7 @@ from gym_demohlm import poses
 from gym_demohlm.perception import camera
 from gym_demohlm.perception.meshes import object_meshes
 from gym_demohlm.perception.perceiver import make_perceiver
-from gym_demohlm.perception.tag_layout import layout, tagged_model
+from gym_demohlm.perception.tag_layout import is_tag, layout, tagged_model
 from gym_demohlm.perception.tags import TagFinder, object_pose
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.scene import build_scene
@@ -18,13 +18,15 @@ from gym_demohlm.simulation import Simulation
 @pytest.mark.parametrize("name", sorted(all_tasks()))
 def test_every_object_wears_tags_and_no_two_are_the_same(name: str) -> None:
     task = get_task(name)
-    model = build_scene(task).model
-    tagged, tags = tagged_model(task, model)
+    scene = build_scene(task)
+    model = scene.model
+    tagged, tags = tagged_model(scene)
     ids = [tag.id for worn in tags for tag in worn]
     assert len(set(ids)) == len(ids) and all(worn for worn in tags)
     assert (tagged.nq, tagged.nbody, tagged.nmocap) == (model.nq, model.nbody, model.nmocap)
     assert tagged.body_mass.sum() == pytest.approx(model.body_mass.sum())
-    new = [i for i in range(tagged.ngeom) if tagged.geom(i).name.startswith("tag_")]
+    new = np.flatnonzero(is_tag(tagged))
+    np.testing.assert_array_equal(np.delete(tagged.geom_size, new, axis=0), model.geom_size)
     assert len(new) == len(ids) and not tagged.geom_contype[new].any() and not tagged.geom_conaffinity[new].any()
 
 

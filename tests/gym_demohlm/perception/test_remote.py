@@ -9,8 +9,8 @@ import pytest
 
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.perception import wire
+from gym_demohlm.perception.pose_client import LATE, NO_ANSWER
 from gym_demohlm.perception.pose_server import TrackerBackend, make_backend
-from gym_demohlm.perception.remote import LATE, NO_ANSWER
 from tests.helpers.pose_servers import Reply, replying, serving, told
 
 STEPS = 4

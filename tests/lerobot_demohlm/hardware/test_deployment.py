@@ -106,7 +106,7 @@ def test_policies_that_do_not_fit_are_refused_before_anything_is_sent(
     (["--interface", "nowhere0"], "no interface 'nowhere0'"),
     (["--interface", "lo", "--task", "LiftBoxes"], "did you mean 'LiftBox'"),
     (["--interface", "lo", "--task", "GraspCube"], "give --servo-port"),
-    (["--interface", "lo", "--hands-free", "--pose-source", "apriltag"], "give --tags"),
+    (["--interface", "lo", "--hands-free", "--pose-source", "apriltag", "--camera", "{}"], "give --tags"),
     (["--interface", "lo", "--root", "."], "which exists"),
 ])  # fmt: skip
 def test_bad_options_are_one_line(

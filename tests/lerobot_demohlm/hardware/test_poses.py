@@ -1,9 +1,10 @@
-"""Where objects are: from a simulated world, over UDP, and from AprilTags in a picture."""
+"""Where objects are: in a simulated world, by a pose server, and by AprilTags in a camera's pictures."""
 
 import json
-import socket
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,15 +13,20 @@ import pytest
 from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
-from gym_demohlm.errors import UnknownNameError
-from gym_demohlm.perception.camera import T_CAMERA_OPTICAL
+from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, Intrinsics, head_intrinsics
+from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.settings import PerceptionSettings
+from gym_demohlm.perception.tag_file import read_tags
+from gym_demohlm.perception.wire import Request
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.hardware import robot_observation, world_topic
-from lerobot_demohlm.hardware.apriltag import Tag, TagFinder, read_tags
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import WORLD, Link
-from lerobot_demohlm.hardware.pose_process import PoseSettings, RemoteSource, WorldSource, _record
+from lerobot_demohlm.hardware.pose_process import PoseSettings, _record
+from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource
+from tests.helpers.pose_servers import replying, told
 from tests.helpers.robot import free_domain
 
 TASK = get_task("LiftBox")
@@ -54,32 +60,58 @@ def test_a_world_goes_through_its_message() -> None:
         world_topic.unpack(world_topic.pack(3, 1.5, physics, mocap)[:-8])
 
 
-@pytest.mark.parametrize("message", [
-    b"no json", b"[]", b'{"objects": {"box": [1, 2]}}', b'{"objects": {"box": [0, 0, 0, 1, 1, 1, 1]}}',
-    b'{"objects": {"cat": [0, 0, 0, 1, 0, 0, 0]}}', b'{"age_s": -1, "objects": {"box": [0, 0, 0, 1, 0, 0, 0]}}',
-    b'{"objects": {"box": [NaN, 0, 0, 1, 0, 0, 0]}}', b'{"age_s": "x", "objects": {}}',
-])  # fmt: skip
-def test_remote_poses_that_are_none_are_dropped(message: bytes) -> None:
-    source = RemoteSource(TASK, "lo", 0)
-    _send(source, message)
-    assert source() is None
+class Pictures:
+    """A camera that shows the pictures that it is given, then none."""
+
+    def __init__(self, pictures: list[np.ndarray], known: Intrinsics) -> None:
+        self._pictures, self._known = pictures, known
+
+    def color(self) -> np.ndarray | None:
+        return self._pictures.pop(0) if self._pictures else None
+
+    def depth(self, shape: tuple[int, ...]) -> np.ndarray:
+        return np.zeros(shape[:2], np.float32)
+
+    def intrinsics(self, shape: tuple[int, ...]) -> Intrinsics:
+        return self._known
 
 
-def _send(source: RemoteSource, message: bytes) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.sendto(message, ("127.0.0.1", source._socket.getsockname()[1]))
+def test_a_server_is_asked_about_a_cameras_pictures_and_its_silence_is_silence() -> None:
+    heard: list[Request] = []
+
+    def reply(request: Request) -> bytes | None:
+        heard.append(request)
+        return told(request) if request.frame < 2 else None
+
+    known = head_intrinsics()
+    with replying(reply) as address:
+        pictures: Any = Pictures([np.full((480, 640, 3), 90, np.uint8)] * 2, known)
+        settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=60.0)
+        source = ServerSource(TASK, settings, pictures)
+        before = time.monotonic_ns()
+        looks = [source(), source()]
+        assert source() is None  # no picture
+    for look in looks:
+        assert look is not None and look.estimate.valid.all() and before <= look.time_ns <= time.monotonic_ns()
+        np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], [1.0, 0.0, 0.0], atol=1e-12)
+    assert [request.frame for request in heard[:2]] == [0, 1] and heard[0].masks is None
+    np.testing.assert_allclose(heard[0].K, known.matrix)
 
 
-def test_remote_poses_have_the_age_that_they_say() -> None:
-    source, name = RemoteSource(TASK, "lo", 0), TASK.objects[0].name
-    numbers = [0.5, 0.1, -0.2, 0.0, 0.0, 0.0, 1.0]
-    before = time.monotonic_ns()
-    _send(source, json.dumps({"age_s": 0.25, "objects": {name: numbers}}).encode())
-    look = source()
-    assert look is not None
-    np.testing.assert_allclose(look.T_camera_object[0], poses.pose(numbers[:3], numbers[3:]), atol=1e-12)
-    assert look.time_ns >= before - 0.2501e9 and look.time_ns <= time.monotonic_ns() - 0.249e9
-    assert look.valid.all() and source() is None
+def test_a_silent_server_gives_no_look() -> None:
+    with replying(lambda request: None) as address:
+        pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)], head_intrinsics(64, 48))
+        settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
+        assert ServerSource(TASK, settings, pictures)() is None
+
+
+def test_a_look_is_as_old_as_the_object_that_was_seen_last() -> None:
+    T = np.tile(np.eye(4), (1, 2, 1, 1))
+    valid, inliers = np.array([[False, False]]), np.ones((1, 2))
+    never = PoseEstimate(T_camera_object=T, valid=valid, age_s=np.full((1, 2), np.inf), inliers=inliers)
+    assert Look.of(never, 10**9) is None
+    look = Look.of(replace(never, age_s=np.array([[0.3, np.inf]])), 10**9)
+    assert look is not None and look.time_ns == 7 * 10**8
 
 
 def test_sources_that_do_not_exist_or_lack_something_are_refused(tmp_path: Path) -> None:
@@ -88,13 +120,21 @@ def test_sources_that_do_not_exist_or_lack_something_are_refused(tmp_path: Path)
 
     with pytest.raises(UnknownNameError, match="did you mean 'exact'"):
         make("exakt")
-    with pytest.raises(RobotError, match="give --tags"):
-        make("apriltag")
+    with pytest.raises(RobotError, match="give --tags with --camera"):
+        replace(make("apriltag"), camera="{}")
+    with pytest.raises(RobotError, match="rgbd with a camera"):
+        replace(make("rgbd"), camera="{}")
+    with pytest.raises(SceneError, match="number"):
+        make("rgbd,bias_mm=much")
+    twice = {"id": 1, "size_m": 0.05, "pose": [0, 0, 0, 1, 0, 0, 0]}
+    (tmp_path / "tags.json").write_text(json.dumps({"box": [twice, twice]}))
+    with pytest.raises(SceneError, match="each id once"):
+        read_tags(tmp_path / "tags.json", ["box"])
     (tmp_path / "tags.json").write_text('{"box": []}')
-    with pytest.raises(RobotError, match="no tag on box"):
+    with pytest.raises(SceneError, match="no tag on box"):
         read_tags(tmp_path / "tags.json", ["box"])
     (tmp_path / "tags.json").write_text('{"box": [{"id": 1, "size_m": 0.05, "pose": [0, 0]}]}')
-    with pytest.raises(RobotError, match="tags that cannot be read"):
+    with pytest.raises(SceneError, match="tags that cannot be read"):
         read_tags(tmp_path / "tags.json", ["box"])
 
 
@@ -103,7 +143,8 @@ def picture_of_tag(number: int, size_m: float, T_optical_tag: np.ndarray, intrin
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     side, margin = 400, 100
     paper = np.full((side + 2 * margin, side + 2 * margin), 255, np.uint8)
-    paper[margin:-margin, margin:-margin] = cv2.aruco.generateImageMarker(dictionary, number, side)
+    drawn = cv2.aruco.generateImageMarker(dictionary, number, side)
+    paper[margin:-margin, margin:-margin] = drawn[::-1, ::-1]  # OpenCV draws tags of this family upside down
     scale = size_m / side  # metres a pixel; the tag's x to the right, y up
     whole = len(paper)
     corners = np.array([[0, 0], [whole, 0], [whole, whole], [0, whole]], dtype=np.float32)
@@ -116,14 +157,22 @@ def picture_of_tag(number: int, size_m: float, T_optical_tag: np.ndarray, intrin
 
 
 @pytest.mark.parametrize("turn", [0.25, 0.4, -0.5])
-def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float) -> None:
-    intrinsics = np.array([[617.0, 0, 319.5], [0, 617.0, 239.5], [0, 0, 1]])
+def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: Path) -> None:
+    known = Intrinsics(width=640, height=480, focal=617.0, center_u=319.5, center_v=239.5)
     facing = poses.from_rotation(np.diag([1.0, -1.0, -1.0]), [0.05, -0.03, 0.7])  # its z towards the camera
     T_optical_tag = facing @ poses.from_rotation(poses.rotation_from_vector([0.0, turn, 0.1]))
-    T_object_tag = poses.pose([0.02, 0.03, 0.09], [0.5, 0.5, 0.5, 0.5])
-    finder = TagFinder({"box": (Tag(id=7, size_m=0.08, T_object_tag=T_object_tag),)}, intrinsics)
-    found = finder.find(picture_of_tag(7, 0.08, T_optical_tag, intrinsics))["box"]
-    expected = T_CAMERA_OPTICAL @ T_optical_tag @ poses.invert(T_object_tag)
+    numbers = [0.02, 0.03, 0.09, 0.5, 0.5, 0.5, 0.5]
+    (tmp_path / "tags.json").write_text(json.dumps({"box": [{"id": 7, "size_m": 0.08, "pose": numbers}]}))
+    shown = [picture_of_tag(number, 0.08, T_optical_tag, known.matrix) for number in (8, 7, 8)]
+    camera: Any = Pictures(shown, known)
+    source = TagSource(TASK, tmp_path / "tags.json", camera)
+    assert source() is None
+    look, later = source(), source()
+    assert look is not None and look.estimate.valid.all()
+    found = look.estimate.T_camera_object[0, 0]
+    expected = T_CAMERA_OPTICAL @ T_optical_tag @ poses.invert(poses.pose(numbers[:3], numbers[3:]))
     assert np.linalg.norm(found[:3, 3] - expected[:3, 3]) < 0.01
     assert np.linalg.norm(poses.rotation_vector(found[:3, :3].T @ expected[:3, :3])) < 0.06
-    assert finder.find(picture_of_tag(8, 0.08, T_optical_tag, intrinsics)) == {}
+    assert later is not None and not later.estimate.valid.any()
+    assert abs(later.time_ns - look.time_ns) < 10  # it grows old
+    assert source() is None

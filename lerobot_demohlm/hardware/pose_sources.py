@@ -1,0 +1,193 @@
+"""A simulated robot's world, or a real camera's pictures -> looks at the objects, by the package's own eyes.
+
+What looks is ``gym_demohlm.perception`` in either case: its perceivers look at the world that a simulated robot shows;
+its tag finder and its pose client look at the pictures of a camera.
+"""
+
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, T_OPTICAL_CAMERA, Intrinsics
+from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.perceiver import make_perceiver
+from gym_demohlm.perception.settings import PerceptionSettings
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
+from lerobot_demohlm.hardware import world_topic
+from lerobot_demohlm.hardware.camera import HeadCamera
+from lerobot_demohlm.hardware.link import WORLD, Link
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """One look at the objects of one world.
+
+    Attributes:
+        estimate: Where they seem to be, one row.
+        time_ns: When one of them was seen last (``time.monotonic_ns``).
+    """
+
+    estimate: PoseEstimate
+    time_ns: int
+
+    @classmethod
+    def of(cls, estimate: PoseEstimate, now_ns: int) -> "Look | None":
+        """Return a look that is as old as the object that was seen last; None before any was seen."""
+        age_s = float(estimate.age_s.min())
+        return None if not np.isfinite(age_s) else cls(estimate=estimate, time_ns=now_ns - round(1e9 * age_s))
+
+
+Source = Callable[[], Look | None]
+"""Returns the newest look; None where there is no new one."""
+
+
+class WorldSource:
+    """Looks at the world of a simulated robot.
+
+    Args:
+        task: The task.
+        settings: With which eyes.
+        link: The network.
+    """
+
+    def __init__(self, task: Task, settings: str | PerceptionSettings, link: Link) -> None:
+        self._sim = Simulation(task)
+        self._perceiver = make_perceiver(settings, task, 1)
+        self._reader = link.reader(WORLD)
+        self._episode = -1
+
+    def __call__(self) -> Look | None:
+        """Return the newest look; None where no new world has come."""
+        content = self._reader.newest()
+        if content is None:
+            return None
+        time_ns = time.monotonic_ns()
+        episode, _, physics, mocap = world_topic.unpack(content)
+        world_topic.show(self._sim, physics, mocap)
+        if episode != self._episode:
+            self._episode = episode
+            self._perceiver.begin(np.array([0]), [episode])
+        return Look.of(self._perceiver.observe(self._sim, np.array([0])), time_ns)
+
+
+class _Seen:
+    """What was seen of each object, and when; what is not seen now keeps its pose in the camera's frame."""
+
+    def __init__(self, count: int) -> None:
+        self._T, self._at = np.tile(np.eye(4), (1, count, 1, 1)), np.full(count, -1, np.int64)
+
+    def add(self, index: int, T_camera_object: np.ndarray, time_ns: int) -> None:
+        """Note where an object was seen."""
+        self._T[0, index], self._at[index] = T_camera_object, time_ns
+
+    def look(self, now_ns: int) -> Look | None:
+        """Return what is known; None before each object was seen once."""
+        if (self._at < 0).any():
+            return None
+        age_s = 1e-9 * (now_ns - self._at)[None]
+        valid = self._at[None] == now_ns
+        return Look.of(
+            PoseEstimate(T_camera_object=self._T.copy(), valid=valid, age_s=age_s, inliers=valid.astype(float)), now_ns
+        )
+
+
+class TagSource:
+    """Looks for AprilTags in a camera's pictures.
+
+    Args:
+        task: The task.
+        tags: File of tags, see ``gym_demohlm.perception.tag_file``.
+        camera: Of the head.
+
+    Raises:
+        SceneError: The file cannot be read, or an object has no tag.
+    """
+
+    def __init__(self, task: Task, tags: Path, camera: HeadCamera) -> None:
+        from gym_demohlm.perception.tag_file import read_tags
+        from gym_demohlm.perception.tags import TagFinder
+
+        self._tags = read_tags(tags, [entry.name for entry in task.objects])
+        self._camera, self._finder, self._seen = camera, TagFinder(), _Seen(len(self._tags))
+        self._known: Intrinsics | None = None
+        self._expected: list[np.ndarray | None] = [None] * len(self._tags)
+
+    def __call__(self) -> Look | None:
+        """Return the newest look; None before each object was seen once, and where no picture comes."""
+        import cv2
+
+        from gym_demohlm.perception.camera import whole
+        from gym_demohlm.perception.tags import object_pose
+
+        image = self._camera.color()
+        if image is None:
+            return None
+        now = time.monotonic_ns()
+        self._known = self._known or self._camera.intrinsics(image.shape)
+        corners = self._finder.corners(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), whole(self._known))
+        for index, worn in enumerate(self._tags):
+            found = object_pose(worn, corners, self._known, self._expected[index])
+            if found is not None:
+                self._expected[index] = found[0]
+                self._seen.add(index, T_CAMERA_OPTICAL @ found[0], now)
+        return self._seen.look(now)
+
+
+class ServerSource:
+    """Sends a camera's pictures to a pose server, which finds the objects in them by itself.
+
+    There is no odometry here: what the server is told of the camera's pose is that it is level.
+
+    Args:
+        task: The task.
+        settings: ``address`` and ``timeout_s`` are read.
+        camera: Of the head.
+    """
+
+    def __init__(self, task: Task, settings: PerceptionSettings, camera: HeadCamera) -> None:
+        import zmq
+
+        from gym_demohlm.perception.pose_client import PoseClient
+
+        self._task, self._camera, self._seen = task, camera, _Seen(len(task.objects))
+        self._client = PoseClient(zmq.Context(), settings.address, settings.timeout_s)
+        self._session, self._frame = uuid.uuid4().hex, 0
+        self._taken: dict[int, int] = {}  # when each picture was taken that is not answered
+
+    def __call__(self) -> Look | None:
+        """Return the newest look; None before each object was seen once, and where neither picture nor answer comes."""
+        from gym_demohlm.perception.wire import Request
+
+        image = self._camera.color()
+        if image is None:
+            return None
+        self._taken[self._frame] = time.monotonic_ns()
+        told = self._client.look(
+            Request(
+                session=self._session,
+                frame=self._frame,
+                task=self._task.name,
+                objects=tuple(entry.name for entry in self._task.objects),
+                K=self._camera.intrinsics(image.shape).matrix,
+                T_odom_optical=T_CAMERA_OPTICAL,
+                hands={},
+                color=image,
+                depth=self._camera.depth(image.shape),
+                masks=None,
+            )
+        )
+        self._frame += 1
+        if told is None:
+            return None
+        taken = self._taken[told.request.frame]
+        self._taken = {frame: at for frame, at in self._taken.items() if frame > told.request.frame}
+        for index, answer in enumerate(told.answers):
+            if answer.valid:
+                self._seen.add(index, poses.invert(T_OPTICAL_CAMERA) @ answer.T_optical_object, taken)
+        return self._seen.look(taken)
