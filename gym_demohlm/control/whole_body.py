@@ -201,10 +201,10 @@ class WholeBodyController:
         before, count = self.state[chosen], len(sensed)
         after, told, attitude = np.empty_like(before), np.empty((count, 7)), np.empty((count, 4))
         observed, targets = np.empty((count, features.OBSERVATION_SIZE)), np.empty((count, len(self._lower)))
-        sensors = map(np.ascontiguousarray, (sensed.quat_wxyz, sensed.gyro, sensed.q, sensed.dq))
-        commands = np.ascontiguousarray(commands)
+        quat_wxyz, gyro = np.ascontiguousarray(sensed.quat_wxyz), np.ascontiguousarray(sensed.gyro)
+        q, dq, commands = (np.ascontiguousarray(rows) for rows in (sensed.q, sensed.dq, commands))
         kernels.perceive(
-            self._numbers, before, *sensors, commands, command.ARMS.start, after, observed, told, attitude
+            self._numbers, before, quat_wxyz, gyro, q, dq, commands, command.ARMS.start, after, observed, told, attitude
         )  # fmt: skip
         action = self._act(observed)
         kernels.targets(self._numbers, after, told, attitude, action, self._lower, self._upper, targets)

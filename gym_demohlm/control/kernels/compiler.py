@@ -15,8 +15,10 @@ from typing import Any
 import numba
 import numpy as np
 
+_PACKAGE = __name__.rpartition(".")[0]
 
-def digest(package: str = __package__) -> str:
+
+def digest(package: str = _PACKAGE) -> str:
     """Return letters that change with the source and the constants of any module of a package that is imported."""
     found = hashlib.sha256()
     for name, module in sorted(sys.modules.items()):

@@ -50,6 +50,7 @@ class GaitNumbers(NamedTuple):
     @classmethod
     def of(cls, gait: Gait) -> "GaitNumbers":
         """Return the numbers of a gait."""
+        ahead, behind, beside = gait.capture or (0.0, 0.0, 0.0)
         plain = {name: float(getattr(gait, name)) for name in cls._fields[: cls._fields.index("turn")]}
         return cls(
             **plain,
@@ -57,7 +58,7 @@ class GaitNumbers(NamedTuple):
             turns=any(gait.turn),
             rest_phases=gait.rest_phases,
             captures=gait.capture is not None,
-            capture=tuple(map(float, gait.capture or (0.0, 0.0, 0.0))),
+            capture=(float(ahead), float(behind), float(beside)),
         )
 
 
