@@ -30,7 +30,9 @@ from gym_demohlm.simulation.judge import Judge, outcome
 from gym_demohlm.simulation.worlds import STATE_SPEC
 from gym_demohlm.task import DEFAULT_REGION, InitialState
 from gym_demohlm.timing import PHYSICS_DT
+from gym_demohlm.variation import NONE, get_variation
 from lerobot_demohlm.hardware import servo_units, world_topic
+from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault, Faults, FaultyLine, FaultySensors
 from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowCmd, LowState
 from lerobot_demohlm.hardware.limits import COMMAND_TIMEOUT_S, DAMPING, Limits
@@ -67,6 +69,12 @@ class SimulatedSettings:
         own_controller: Name of the robot's own controller that runs at first, see ``motion_switcher``.
         episodes: After which it ends; 0 for never.
         controller: Whose physics the robot has, see ``gym_demohlm.control.controllers``.
+        variation: How each episode's robot differs, see ``get_variation``; of the group ``robot`` only what its body
+            has: strength, masses and friction. Its gains are those of each command, and its sensors have ``noise``.
+
+    Raises:
+        UnknownNameError: There is no such variation.
+        RobotError: It varies something else than the robot: the eyes of a deployment know the plain world.
     """
 
     task: str
@@ -81,6 +89,14 @@ class SimulatedSettings:
     own_controller: str = ""
     episodes: int = 0
     controller: str = controllers.DEFAULT
+    variation: str = NONE.name
+
+    def __post_init__(self) -> None:
+        """Check the variation."""
+        others = [group for group in get_variation(self.variation).groups if group != "robot"]
+        if others:
+            got = f"the variation {self.variation!r} of {', '.join(others)}"
+            raise RobotError(got, "the group robot alone", "write it as real:robot")
 
 
 _NOISE_Q, _NOISE_DQ, _NOISE_GYRO = 0.0005, 0.02, 0.01
@@ -179,7 +195,12 @@ class SimulatedG1:
         self._pushed: set[Fault] = set()
         self._last_command = 0.0
         self._gaps: list[float] = []
-        self.sim = Simulation(task, controller=_Remote(1, controllers.find(settings.controller)), pool=self)
+        self.sim = Simulation(
+            task,
+            controller=_Remote(1, controllers.find(settings.controller)),
+            pool=self,
+            variation=get_variation(settings.variation),
+        )
         self._judge = Judge(self.sim)
         self._hang()
 
@@ -263,6 +284,7 @@ class SimulatedG1:
         start: InitialState = self._task.sample(
             self._settings.region, np.random.default_rng(self._settings.seed + self._episode)
         )
+        start = self.sim.vary(start)
         self.sim.reset([start])
         self._judge.reset(np.array([0]))
         qpos = self.sim.qpos[0]
