@@ -61,9 +61,8 @@ def arccos(x: float) -> float:
     return math.acos(x)
 
 
-@_element_by_element
-def elu(x: float) -> float:
-    """Return the exponential linear unit, x where positive and exp(x) - 1 elsewhere, within 1e-9, element by element.
+def elu_of_number(x: float) -> float:
+    """Return the exponential linear unit, x where positive and exp(x) - 1 elsewhere, within 1e-9.
 
     exp(x) is a Taylor polynomial at x / 64, squared six times: only additions and multiplications.
     """
@@ -76,6 +75,10 @@ def elu(x: float) -> float:
     power *= power
     power *= power
     return max(x, 0.0) + (power - 1.0)
+
+
+elu = _element_by_element(elu_of_number)
+"""The same of arrays, element by element."""
 
 
 @_element_by_element
@@ -166,6 +169,10 @@ class ExactProduct:
         """Return ``rows @ matrix``, (..., n) -> (..., m); the same bits for a row alone and among others."""
         lead, width = rows.shape[:-1], rows.shape[-1]
         flat = _whole_steps(rows.reshape(-1, width), 1.0 / self.row_step, self.bound / self.row_step)
+        return self.of_steps(flat).reshape(*lead, -1)
+
+    def of_steps(self, flat: np.ndarray) -> np.ndarray:
+        """Return the same for rows (N, n) that are whole numbers of ``row_step`` within the bound, (N, m)."""
         product = np.empty((len(flat), self.matrix.shape[1]))
         for first in range(0, len(flat), self._block):
             block, into = flat[first : first + self._block], product[first : first + self._block]
@@ -173,4 +180,4 @@ class ExactProduct:
             for piece in self._pieces:
                 np.matmul(block, piece, out=into[:, column : column + piece.shape[1]])
                 column += piece.shape[1]
-        return product.reshape(*lead, -1)
+        return product

@@ -242,7 +242,8 @@ class Task:
         objects: Tracked objects, in the order of ``environment_state``.
         success: The paper's success condition.
         gaze_target: Name of the object that the neck keeps in view.
-        supports: Mocap bodies under the placed objects; they move with the region's y and z offsets.
+        supports: Mocap bodies of the furniture under objects, the first one under the placed objects; they move with
+            the region's y and z offsets. One that is itself among the objects is placed as such.
         obstacles: Bodies that the robot should not touch; contacts with them are reported as collisions.
         contact_pairs: ``(side, object)`` pairs whose normal force is measured, side "left" or "right" hand.
         force_pairs: Pairs of other bodies whose normal force is measured, such as a tool and what it works on.

@@ -13,16 +13,16 @@ NUM_JOINTS = 4  # of one arm: shoulder pitch, roll, yaw, elbow; the wrists move 
 TABLE_SHAPE = (3**NUM_JOINTS, 6)
 HAND = (0.1, 0.0, 0.0)  # m from the last wrist joint: where a hand carries what it carries
 GRAVITY = 9.81  # m/s2
-_MIRROR = np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, -1.0, 1.0]])  # left, right: the right arm as a left one
-_SIDEWAYS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
+MIRROR = np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, -1.0, 1.0]])  # left, right: the right arm as a left one
+SIDEWAYS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
 _HOME = g1.HOME[15:].reshape(2, 7)[:, :NUM_JOINTS]
 _MOTORS = [g1.motor(joint) for joint in g1.ARM_JOINTS[:NUM_JOINTS]]
-_STIFFNESS = np.array([motor.stiffness for motor in _MOTORS])
-_DAMPING = np.array([motor.damping for motor in _MOTORS])
-_LARGEST = 3.0  # kg
-_WEIGHING_S = 0.6  # s: time constant of the estimate, for an arm stretched out
-_SWINGING = 1.0  # rad/s: an arm that moves faster is weighed more slowly
-_LITTLE = 4.0  # (Nm/kg)2: a lever that tells little; hanging arms keep what was found before
+STIFFNESS = np.array([motor.stiffness for motor in _MOTORS])
+DAMPING = np.array([motor.damping for motor in _MOTORS])
+LARGEST = 3.0  # kg
+WEIGHING_S = 0.6  # s: time constant of the estimate, for an arm stretched out
+SWINGING = 1.0  # rad/s: an arm that moves faster is weighed more slowly
+LITTLE = 4.0  # (Nm/kg)2: a lever that tells little; hanging arms keep what was found before
 
 
 def _products(factors: np.ndarray) -> np.ndarray:
@@ -56,8 +56,8 @@ class ArmLoad:
 
     def __init__(self, table: np.ndarray) -> None:
         self.table = np.array(table, dtype=np.float64)
-        self._product = ExactProduct(self.table, bound=1.0)  # a product of sines and cosines is no larger
-        self._at_home = self._moment(_HOME[None], np.zeros((1, 2)))[0]
+        self.product = ExactProduct(self.table, bound=1.0)  # a product of sines and cosines is no larger
+        self.home = self._moment(_HOME[None], np.zeros((1, 2)))[0]
 
     def __call__(self, arms: np.ndarray, carried: np.ndarray) -> np.ndarray:
         """Return the moment [kg m] in the torso frame that arms and loads add to that of empty arms at home.
@@ -69,12 +69,12 @@ class ArmLoad:
         Returns:
             (N, 3).
         """
-        return self._moment(arms.reshape(len(arms), 2, NUM_JOINTS), carried) - self._at_home
+        return self._moment(arms.reshape(len(arms), 2, NUM_JOINTS), carried) - self.home
 
     def _moment(self, arms: np.ndarray, carried: np.ndarray) -> np.ndarray:
         """Return the moment of both arms, (N, 2, 4) and (N, 2) -> (N, 3)."""
-        of_each = self._product(basis(arms * _MIRROR))  # (N, 2, 6)
-        return ((of_each[..., :3] + carried[..., None] * of_each[..., 3:]) * _SIDEWAYS).sum(axis=1)
+        of_each = self.product(basis(arms * MIRROR))  # (N, 2, 6)
+        return ((of_each[..., :3] + carried[..., None] * of_each[..., 3:]) * SIDEWAYS).sum(axis=1)
 
     def weigh(
         self, carried: np.ndarray, targets: np.ndarray, q: np.ndarray, dq: np.ndarray, down: np.ndarray, dt: float
@@ -96,15 +96,15 @@ class ArmLoad:
             (N, 2).
         """
         shape = (len(q), 2, NUM_JOINTS)
-        torque = _STIFFNESS * (targets - q).reshape(shape) - _DAMPING * dq.reshape(shape)
-        values, slopes = _factors(q.reshape(shape) * _MIRROR)
+        torque = STIFFNESS * (targets - q).reshape(shape) - DAMPING * dq.reshape(shape)
+        values, slopes = _factors(q.reshape(shape) * MIRROR)
         factors = np.tile(values[:, :, None], (1, 1, NUM_JOINTS, 1, 1))  # (N, 2, 4, 4, 3): a row for each derivative
         for joint in range(NUM_JOINTS):
             factors[:, :, joint, joint] = slopes[:, :, joint]
-        turned = self._product(_products(factors))  # (N, 2, 4, 6): how each joint moves moment and hand
-        weight = -GRAVITY * (down[:, None] * _SIDEWAYS)[:, :, None]  # (N, 2, 1, 3)
+        turned = self.product(_products(factors))  # (N, 2, 4, 6): how each joint moves moment and hand
+        weight = -GRAVITY * (down[:, None] * SIDEWAYS)[:, :, None]  # (N, 2, 1, 3)
         own, lever = (weight * turned[..., :3]).sum(axis=3), (weight * turned[..., 3:]).sum(axis=3)
-        left_over = torque * _MIRROR - own - lever * carried[..., None]
-        step = (left_over * lever).sum(axis=2) / ((lever * lever).sum(axis=2) + _LITTLE)
-        step = step / (1 + (dq.reshape(shape) ** 2).sum(axis=2) / _SWINGING**2)
-        return np.clip(carried + dt / _WEIGHING_S * step, 0.0, _LARGEST)
+        left_over = torque * MIRROR - own - lever * carried[..., None]
+        step = (left_over * lever).sum(axis=2) / ((lever * lever).sum(axis=2) + LITTLE)
+        step = step / (1 + (dq.reshape(shape) ** 2).sum(axis=2) / SWINGING**2)
+        return np.clip(carried + dt / WEIGHING_S * step, 0.0, LARGEST)

@@ -9,10 +9,10 @@ import numpy as np
 from gym_demohlm.arithmetic import arcsin, arctan2, hypot
 
 _WAIST_LEAN = (-0.35, 0.4)  # rad: what of a forward lean the waist takes
-_WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
-_WAIST_BEND = 0.48  # rad
-_LARGEST_BANK = 0.45  # rad: one hip closes by this much
-_WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
+WAIST_ROLL = 0.4  # rad: what of a sideways lean the waist takes before the pelvis rolls
+WAIST_BEND = 0.48  # rad
+LARGEST_BANK = 0.45  # rad: one hip closes by this much
+WAIST_LIMIT = 0.5  # rad: roll and pitch of the waist
 
 
 def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +29,7 @@ def lean(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarr
 
 
 def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share a lean between the pelvis and the waist, which bends by ``_WAIST_BEND`` at most in any direction.
+    """Share a lean between the pelvis and the waist, which bends by ``WAIST_BEND`` at most in any direction.
 
     Args:
         ahead: (N,) forward lean of the torso [rad].
@@ -39,9 +39,9 @@ def pelvis_attitude(ahead: np.ndarray, aside: np.ndarray, tilt: np.ndarray) -> t
     Returns:
         Pitch and roll of the pelvis (N,), (N,) [rad].
     """
-    waist_ahead, waist_aside = ahead - tilt, np.clip(aside, -_WAIST_ROLL, _WAIST_ROLL)
-    share = np.minimum(_WAIST_BEND / np.maximum(hypot(waist_ahead, waist_aside), _WAIST_BEND), 1.0)
-    bank = np.clip(aside - share * waist_aside, -_LARGEST_BANK, _LARGEST_BANK)
+    waist_ahead, waist_aside = ahead - tilt, np.clip(aside, -WAIST_ROLL, WAIST_ROLL)
+    share = np.minimum(WAIST_BEND / np.maximum(hypot(waist_ahead, waist_aside), WAIST_BEND), 1.0)
+    bank = np.clip(aside - share * waist_aside, -LARGEST_BANK, LARGEST_BANK)
     return ahead - share * waist_ahead, bank
 
 
@@ -73,10 +73,10 @@ def waist_angles(
     ux, uy, uz = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)  # up in the torso frame
     length = np.maximum(hypot(y1, z0), 1e-6)
     waist_roll = arcsin(np.clip(uy / length, -1, 1)) - arctan2(y1, z0)
-    waist_roll = np.clip(waist_roll, -_WAIST_LIMIT, _WAIST_LIMIT)
+    waist_roll = np.clip(waist_roll, -WAIST_LIMIT, WAIST_LIMIT)
     z1 = np.cos(waist_roll) * z0 - np.sin(waist_roll) * y1
     waist_pitch = arctan2(x1 * uz - z1 * ux, x1 * ux + z1 * uz)
-    return waist_roll, np.clip(waist_pitch, -_WAIST_LIMIT, _WAIST_LIMIT)
+    return waist_roll, np.clip(waist_pitch, -WAIST_LIMIT, WAIST_LIMIT)
 
 
 def in_torso(v: np.ndarray, waist: np.ndarray) -> np.ndarray:

@@ -28,9 +28,9 @@ ODOMETRY = slice(_FIRST_SIZE - 2, _FIRST_SIZE)
 ACTION_SCALE = np.array([0.30, 0.20, 0.20, 0.35, 0.30, 0.20] * 2 + [0.20, 0.20, 0.25])  # rad for an action of 1
 ACTION_LIMIT = 4.0
 
-_GYRO_SCALE, _VELOCITY_SCALE, _ARM_VELOCITY_SCALE = 0.25, 0.05, 0.3
-_COMMAND_SCALE = np.array([1, 1, 1, 5, 1, 1, 1.0])
-_COMMAND_OFFSET = np.array([0, 0, 0, 0.7, 0, 0, 0.0])
+GYRO_SCALE, VELOCITY_SCALE, ARM_VELOCITY_SCALE = 0.25, 0.05, 0.3
+COMMAND_SCALE = np.array([1, 1, 1, 5, 1, 1, 1.0])
+COMMAND_OFFSET = np.array([0, 0, 0, 0.7, 0, 0, 0.0])
 
 
 def gravity(quat_wxyz: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def frame(quat_wxyz: np.ndarray, gyro: np.ndarray, q: np.ndarray, dq: np.ndarray
         q: (N, 23) positions of OBSERVED_JOINTS [rad].
         dq: (N, 23) their velocities [rad/s].
     """
-    return np.concatenate([_GYRO_SCALE * gyro, gravity(quat_wxyz), q, _VELOCITY_SCALE * dq], axis=1)
+    return np.concatenate([GYRO_SCALE * gyro, gravity(quat_wxyz), q, VELOCITY_SCALE * dq], axis=1)
 
 
 def observation(
@@ -77,8 +77,8 @@ def observation(
     """
     walking = (~standing).astype(np.float64)
     clock = [np.sin(2 * np.pi * phase) * walking, np.cos(2 * np.pi * phase) * walking, standing.astype(np.float64)]
-    command = (command[:, :7] - _COMMAND_OFFSET) * _COMMAND_SCALE
-    arm_velocity = _ARM_VELOCITY_SCALE * arm_velocity
+    command = (command[:, :7] - COMMAND_OFFSET) * COMMAND_SCALE
+    arm_velocity = ARM_VELOCITY_SCALE * arm_velocity
     parts = [history, last_action, arm_targets, command, np.stack(clock, axis=1), velocity, arm_velocity, carried]
     return np.concatenate(parts, axis=1)
 

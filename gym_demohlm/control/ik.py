@@ -16,11 +16,11 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from gym_demohlm import poses
-from gym_demohlm.arithmetic import arctan2, transposed_product
+from gym_demohlm.arithmetic import arctan2, hypot, transposed_product
 from gym_demohlm.control import command, reference
-from gym_demohlm.control.ik_pass import Pass
+from gym_demohlm.control.ik_pass import Advance, Pass
 from gym_demohlm.control.ik_settings import IKSettings
+from gym_demohlm.control.kernels import ik as kernels
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
@@ -33,7 +33,7 @@ _ROOT, _TORSO = "heading", "torso_link"
 _TORSO_AXES = (("torso_height", "0 0 1"), ("torso_yaw", "0 0 1"), ("torso_pitch", "0 1 0"), ("torso_roll", "1 0 0"))
 _PITCH = [name for name, _ in _TORSO_AXES].index("torso_pitch")
 _TORSO_COLUMNS = [command.NAMES.index(f"{name}.pos") for name, _ in _TORSO_AXES]
-_ARM_COLUMNS = [*range(command.SIZE)[command.ARMS]]
+_COLUMNS = np.array([*_TORSO_COLUMNS, *range(command.SIZE)[command.ARMS]])
 _IS_ELBOW = np.array([name.endswith("elbow.pos") for name in command.NAMES])
 _WALK_LOWER, _WALK_UPPER = command.LOWER.copy(), command.UPPER.copy()
 _WALK_LOWER[command.TORSO] = [reference.WALK_HEIGHT, 0.0, reference.WALK_PITCH[0], -reference.WALK_YAW]
@@ -69,7 +69,14 @@ class WholeBodyIK:
         """
         self.settings = settings or IKSettings()
         self._model, self._data = model, mujoco.MjData(model)
-        self._reference = Weights().make_reference()
+        self._ahead = Weights().make_reference().ahead
+        self._rates = np.zeros(command.SIZE)
+        self._rates[command.TORSO], self._rates[command.HEIGHT] = self.settings.torso_rate, self.settings.height_rate
+        self._rates[command.ARMS] = self.settings.arm_rate
+        self._straightest = np.where(_IS_ELBOW, self.settings.straightest_elbow, np.inf)
+        self._bounds = [(command.LOWER.copy(), command.UPPER), (_WALK_LOWER.copy(), _WALK_UPPER)]  # standing, walking
+        for low, _ in self._bounds:
+            low[command.PITCH] = max(low[command.PITCH], self.settings.furthest_back)
         qpos_address = {name: int(model.joint(_joint(name)).qposadr[0]) for name in g1.BODY_JOINTS}
         self._qpos = np.array([qpos_address[name] for name in g1.BODY_JOINTS])
         self._pelvis, self._torso = model.body("pelvis").id, model.body(_TORSO).id
@@ -137,60 +144,54 @@ class WholeBodyIK:
         if T_world_heading is None:
             T_world_heading = _heading(T_world_pelvis)
         T_world_heading = _checked("T_world_heading", T_world_heading, (4, 4))
-        lower, upper = self._window(previous, dt, walking)
+        lower, upper, bent = self._window(previous, dt, walking)
         solution = previous.copy()
         solution[command.VELOCITY] = 0.0
 
-        columns = _TORSO_COLUMNS + _ARM_COLUMNS
-        bent = np.minimum(upper, np.where(_IS_ELBOW, np.maximum(self.settings.straightest_elbow, lower), np.inf))
         T_world_torso = T_world_pelvis @ self._pelvis_to_torso(joint_positions, T_world_pelvis)
-        here, _, _ = self._reference.pelvis_ahead(T_world_pelvis[2, 3], float(poses.rpy(T_world_torso[:3, :3])[1]))
-
-        def advance(q: np.ndarray) -> tuple[float, np.ndarray]:
-            slope = np.zeros(len(q))
-            there, slope[0], slope[_PITCH] = self._reference.pelvis_ahead(q[0], q[_PITCH])
-            return there - here, slope
-
+        advance = None if walking else self._advance(T_world_pelvis[2, 3], T_world_torso[2])
         planned = self._torso_pass.solve(
             T_world_heading,
-            np.minimum(previous, bent)[columns],
-            lower[columns],
-            bent[columns],
+            np.minimum(previous, bent)[_COLUMNS],
+            lower[_COLUMNS],
+            bent[_COLUMNS],
             targets,
             head,
-            None if walking else advance,
+            advance,
         )
         planned_errors = self._torso_pass.errors(targets)
         if head is not None or any(target is not None for target in targets):
             solution[_TORSO_COLUMNS] = planned[: len(_TORSO_COLUMNS)]
         sag = self._sag()
-        start, lowest, highest = (bound[_ARM_COLUMNS] - sag for bound in (previous, lower, upper))
+        start, lowest, highest = (bound[command.ARMS] - sag for bound in (previous, lower, upper))
         arms = self._arm_pass.solve(T_world_torso, start, lowest, highest, targets)
-        solution[_ARM_COLUMNS] = np.clip(arms + sag, lower[_ARM_COLUMNS], upper[_ARM_COLUMNS])
+        solution[command.ARMS] = np.clip(arms + sag, lower[command.ARMS], upper[command.ARMS])
         for arm, target in zip(_ARMS, targets, strict=True):
             if target is None:
                 solution[arm] = previous[arm]
-        errors = self._arm_pass.errors(targets)
+        position_error, orientation_error = kernels.lengths(self._arm_pass.errors(targets))
         return IKSolution(
             command=solution,
-            position_error=np.linalg.norm(errors[:, :3], axis=1),
-            orientation_error=np.linalg.norm(errors[:, 3:], axis=1),
-            planned_position_error=np.linalg.norm(planned_errors[:, :3], axis=1),
+            position_error=position_error,
+            orientation_error=orientation_error,
+            planned_position_error=kernels.lengths(planned_errors)[0],
         )
 
-    def _window(self, previous: np.ndarray, dt: float, walking: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _window(self, previous: np.ndarray, dt: float, walking: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the bounds of the next command, (23,) each: its own bounds met with what the rates allow.
 
         A robot that starts to walk while it bends further than it may has its torso brought back at the fastest rate.
+        The third are upper bounds of the torso pass, whose elbows stay bent.
         """
-        step = np.zeros(command.SIZE)
-        step[command.TORSO] = self.settings.torso_rate * dt
-        step[command.HEIGHT] = self.settings.height_rate * dt
-        step[command.ARMS] = self.settings.arm_rate * dt
-        lowest, highest = (_WALK_LOWER, _WALK_UPPER) if walking else (command.LOWER, command.UPPER)
-        lowest = lowest.copy()
-        lowest[command.PITCH] = max(lowest[command.PITCH], self.settings.furthest_back)
-        return np.clip(lowest, previous - step, previous + step), np.clip(highest, previous - step, previous + step)
+        lower, upper, bent = np.empty((3, command.SIZE))
+        kernels.window(previous, self._rates * dt, *self._bounds[walking], self._straightest, lower, upper, bent)
+        return lower, upper, bent
+
+    def _advance(self, height: float, third_row: np.ndarray) -> Advance:
+        """Return how the pelvis backs off from where it is [m], the torso having this third row of its rotation."""
+        pitch = float(arctan2(-third_row[0], hypot(third_row[1], third_row[2])))
+        here, _, _ = kernels.pelvis_ahead(self._ahead, height, pitch)
+        return Advance(ahead=self._ahead, here=here, pitch=_PITCH)
 
     def _sag(self) -> np.ndarray:
         """Return how far gravity holds the arms back from their targets, where `_pelvis_to_torso` put them, (14,)."""

@@ -1,6 +1,6 @@
 """Targets of palms and head -> the nearest joint angles within bounds, by a few linearised least-squares problems."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -8,9 +8,25 @@ import placo
 
 from gym_demohlm.arithmetic import least_squares
 from gym_demohlm.control.ik_settings import IKSettings
+from gym_demohlm.control.kernels import ik as kernels
 
 PALMS = ("left_palm", "right_palm")
 _HEAD = "head_camera"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advance:
+    """A pelvis that moves along its base's x as the robot squats and bends, see ``Reference.pelvis_ahead``.
+
+    Attributes:
+        ahead: (heights, pitches) how far ahead of its ankles it is [m].
+        here: The same as it is now [m].
+        pitch: Which joint is the torso's pitch; the first is the height.
+    """
+
+    ahead: np.ndarray
+    here: float
+    pitch: int
 
 
 class Pass:
@@ -34,10 +50,15 @@ class Pass:
         """
         self.settings = settings
         self.robot = placo.RobotWrapper("", placo.Flags.ignore_collisions, urdf_text)
-        self.posture, self.posture_weight = np.array(list(pulls.values())).T
-        self.q_columns = [self.robot.get_joint_offset(name) for name in pulls]
-        self.v_columns = [self.robot.get_joint_v_offset(name) for name in pulls]
-        self.hand_scale = np.sqrt(np.repeat(weights, 3))  # (6,)
+        self.posture, posture_weight = np.array(list(pulls.values())).T.copy()
+        self._pull = np.sqrt(posture_weight)
+        self.q_columns = np.array([self.robot.get_joint_offset(name) for name in pulls])
+        self.v_columns = np.array([self.robot.get_joint_v_offset(name) for name in pulls])
+        self.hand_scale, self._head_scale = np.sqrt(np.repeat(weights, 3)), np.sqrt(settings.head_weight)  # (6,)
+        count, of_all = len(pulls), len(self.robot.state.qd)
+        self._state = np.zeros(len(self.robot.state.q))
+        self._jacobians = np.zeros((len(PALMS), 6, of_all))
+        self._A, self._b = np.zeros((2 * count + 15, count)), np.zeros(2 * count + 15)  # two hands, a head
 
     def solve(
         self,
@@ -47,7 +68,7 @@ class Pass:
         upper: np.ndarray,
         targets: list[np.ndarray | None],
         p_world_head: np.ndarray | None = None,
-        advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None = None,
+        advance: Advance | None = None,
     ) -> np.ndarray:
         """Return the joints nearest the targets, within [lower, upper], from `start` on; leave the robot there.
 
@@ -58,36 +79,34 @@ class Pass:
             upper: Likewise.
             targets: Of the palms.
             p_world_head: Target position of the head [m].
-            advance: Joints -> how far the base is then ahead of `T_world_base` along its x [m]; its derivative (n,).
+            advance: How far the base then is ahead of `T_world_base` along its x.
         """
-        q = start.copy()
-        base = self._place(T_world_base, q, advance)
+        q, base = start.copy(), np.zeros((3, len(start)))
+        self._turn(T_world_base)
+        self._place(T_world_base, q, base, advance)
         for _ in range(self.settings.iterations):
             change = self._step(q, lower, upper, targets, p_world_head, base)
-            q = np.clip(q + change, lower, upper)
-            base = self._place(T_world_base, q, advance)
-            if np.abs(change).max() < self.settings.converged:
+            largest = kernels.move(change, q, lower, upper)
+            self._place(T_world_base, q, base, advance)
+            if largest < self.settings.converged:
                 break
         return q
 
-    def _place(
-        self, T_world_base: np.ndarray, q: np.ndarray, advance: Callable[[np.ndarray], tuple[float, np.ndarray]] | None
-    ) -> np.ndarray:
-        """Put the robot where its base advances to; return how the base moves with the joints, (3, n)."""
-        if advance is None:
-            self.move(T_world_base, q)
-            return np.zeros((3, len(q)))
-        T, (distance, slope) = T_world_base.copy(), advance(q)
-        T[:3, 3] += distance * T[:3, 0]
-        self.move(T, q)
-        return np.outer(T[:3, 0], slope)
-
-    def move(self, T_world_base: np.ndarray, q: np.ndarray) -> None:
-        """Put the robot's base and joints where given."""
-        state = np.zeros(len(self.robot.state.q))
+    def _turn(self, T_world_base: np.ndarray) -> None:
+        """Give the base its orientation, which no joint changes."""
         quat_wxyz = np.zeros(4)
         mujoco.mju_mat2Quat(quat_wxyz, T_world_base[:3, :3].reshape(9))
-        state[:3], state[3:7] = T_world_base[:3, 3], quat_wxyz[[1, 2, 3, 0]]  # placo: x, y, z, w
+        self._state[3:7] = quat_wxyz[[1, 2, 3, 0]]  # placo: x, y, z, w
+
+    def _place(self, T_world_base: np.ndarray, q: np.ndarray, base: np.ndarray, advance: Advance | None) -> None:
+        """Put the robot where its base advances to; write how the base moves with the joints, (3, n)."""
+        state = self._state
+        if advance is None:
+            state[:3] = T_world_base[:3, 3]
+        else:
+            kernels.advanced(
+                advance.ahead, advance.here, T_world_base, q[0], q[advance.pitch], advance.pitch, state, base
+            )  # fmt: skip
         state[self.q_columns] = q
         self.robot.state.q = state
         self.robot.update_kinematics()
@@ -114,27 +133,27 @@ class Pass:
     ) -> np.ndarray:
         """Solve one linearised problem for the change of the joints, with which the base moves by `base` (3, n).
 
-        Most have their solution inside the bounds, where no solver for bounds is needed.
+        Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging. Most
+        have their solution inside the bounds, where no solver for bounds is needed.
         """
-        errors = self.errors(targets) * self.hand_scale
-        # Levenberg-Marquardt with the error as damping (Sugihara 2011): a stretched arm stays still, not swinging.
-        damping = self.settings.regularization + self.settings.error_damping * (errors**2).sum()
-        rows = [np.diag(np.sqrt(self.posture_weight)), np.sqrt(damping) * np.eye(len(q))]
-        values = [np.sqrt(self.posture_weight) * (self.posture - q), np.zeros(len(q))]
-        for error, palm, target in zip(errors, PALMS, targets, strict=True):
+        settings, robot = self.settings, self.robot
+        hands = np.array([target is not None for target in targets])
+        for jacobian, palm, target in zip(self._jacobians, PALMS, targets, strict=True):
             if target is not None:
-                jacobian = self.robot.frame_jacobian(palm, "local_world_aligned")[:, self.v_columns]
-                jacobian[:3] += base
-                rows.append(self.hand_scale[:, None] * jacobian)
-                values.append(error)
+                jacobian[:] = robot.frame_jacobian(palm, "local_world_aligned")
+        rows = kernels.problem(
+            q, self.posture, self._pull, self.v_columns, self.hand_scale, settings.regularization,
+            settings.error_damping, hands, self.errors(targets), self._jacobians, base, self._A, self._b,
+        )  # fmt: skip
         if p_world_head is not None:
-            scale = np.sqrt(self.settings.head_weight)
-            jacobian = self.robot.frame_jacobian(_HEAD, "local_world_aligned")[:3, self.v_columns] + base
-            rows.append(scale * jacobian)
-            values.append(scale * (p_world_head - self.robot.get_T_world_frame(_HEAD)[:3, 3]))
-        A, b = np.concatenate(rows), np.concatenate(values)
+            jacobian, T = robot.frame_jacobian(_HEAD, "local_world_aligned"), robot.get_T_world_frame(_HEAD)
+            kernels.head_rows(
+                self._head_scale, self.v_columns, jacobian, base, p_world_head, T, rows, self._A, self._b
+            )  # fmt: skip
+            rows += 3
+        A, b = self._A[:rows], self._b[:rows]
         free = least_squares(A, b)
-        if (free <= upper - q).all() and (free >= lower - q).all():
+        if kernels.within(free, q, lower, upper):
             return free
         problem, residual = placo.Problem(), placo.Expression()
         change = problem.add_variable(len(q))

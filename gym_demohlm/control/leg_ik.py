@@ -1,7 +1,7 @@
 """Where the ankles should be, soles level -> the joints of the legs, in closed form.
 
 A G1 leg is hip pitch, roll, yaw, knee, ankle pitch, roll. Its thigh hangs straight under the hip pitch axis, but its
-hip roll and yaw axes are inclined by ``_INCLINATION``: R_pelvis_thigh = Ry(pitch - i) Rx(roll) Rz(yaw) Ry(i).
+hip roll and yaw axes are inclined by ``INCLINATION``: R_pelvis_thigh = Ry(pitch - i) Rx(roll) Rz(yaw) Ry(i).
 The roll and yaw axes meet in a point ahead of and below the pitch axis, so a leg is solved twice: from the pitch axis,
 which tells where that point goes, and from that point.
 """
@@ -14,10 +14,10 @@ import numpy as np
 from gym_demohlm.arithmetic import arccos, arctan2, hypot
 from gym_demohlm.robot import g1
 
-_INCLINATION = 2 * math.asin(0.08733857)  # rad
-_AHEAD, _BELOW = 0.0246, 0.0262  # m: where the roll and yaw axes meet, seen from the pitch axis
-_THIGH_FROM_THERE = math.hypot(_AHEAD, g1.THIGH_LENGTH - _BELOW)
-_THIGH_ANGLE = math.atan2(_AHEAD, g1.THIGH_LENGTH - _BELOW)
+INCLINATION = 2 * math.asin(0.08733857)  # rad
+AHEAD, BELOW = 0.0246, 0.0262  # m: where the roll and yaw axes meet, seen from the pitch axis
+THIGH_FROM_THERE = math.hypot(AHEAD, g1.THIGH_LENGTH - BELOW)
+THIGH_ANGLE = math.atan2(AHEAD, g1.THIGH_LENGTH - BELOW)
 _SIDES = np.array([1.0, -1.0])  # left, right
 _AXES = np.eye(3)[:, :, None, None]  # components of the unit vectors
 
@@ -87,20 +87,20 @@ def solve(ankles: Vectors, sole_yaw: np.ndarray, tilt: np.ndarray, bank: np.ndar
 
     hips = in_heading(Vectors(zero, zero + g1.HIP_SPREAD * _SIDES, zero - g1.HIP_DROP))
     pitch = planar(ankles.x - hips.x, hypot(ankles.y - hips.y, ankles.z - hips.z))[0] - tilt
-    further = in_heading(_about_y(Vectors(zero + _AHEAD, zero, zero - _BELOW), pitch))
+    further = in_heading(_about_y(Vectors(zero + AHEAD, zero, zero - BELOW), pitch))
     hips = Vectors(hips.x + further.x, hips.y + further.y, hips.z + further.z)
     seen = _about_z(Vectors(hips.x - ankles.x, hips.y - ankles.y, hips.z - ankles.z), -sole_yaw)  # hip from the ankle
     ankle_roll = arctan2(seen.y, seen.z)
-    thigh, knee, ankle_pitch = planar(-seen.x, hypot(seen.y, seen.z), _THIGH_FROM_THERE)
-    thigh, knee = thigh - _THIGH_ANGLE, knee + _THIGH_ANGLE
+    thigh, knee, ankle_pitch = planar(-seen.x, hypot(seen.y, seen.z), THIGH_FROM_THERE)
+    thigh, knee = thigh - THIGH_ANGLE, knee + THIGH_ANGLE
 
     def in_pelvis(v: Vectors) -> Vectors:
         """Turn a vector by R_pelvis_thigh Ry(-i)."""
-        v = _about_z(_about_x(_about_y(v, thigh - _INCLINATION), -ankle_roll), sole_yaw)
+        v = _about_z(_about_x(_about_y(v, thigh - INCLINATION), -ankle_roll), sole_yaw)
         return _about_x(_about_y(v, -tilt), -bank)
 
     axes = in_pelvis(Vectors(*_AXES))  # (3, N, 2) components: of the first, the second, the third axis
-    hip_pitch = arctan2(axes.x[2], axes.z[2]) + _INCLINATION
+    hip_pitch = arctan2(axes.x[2], axes.z[2]) + INCLINATION
     hip_roll = arctan2(-axes.y[2], hypot(axes.x[2], axes.z[2]))
     hip_yaw = arctan2(axes.y[0], axes.y[1])
     return np.stack([hip_pitch, hip_roll, hip_yaw, knee, ankle_pitch, ankle_roll], axis=2)

@@ -11,9 +11,9 @@ from gym_demohlm.arithmetic import arccos, arctan2
 from gym_demohlm.robot import g1
 
 _Vector = tuple[np.ndarray, np.ndarray, np.ndarray]
-_FILTER = 0.4  # share of the new value in each tick's average: a time constant of about 40 ms
-_HEIGHT_BLEND = 0.03  # m: soles this far apart in height count as one planted foot, nearer ones as a mixture
-_EPSILON = 1e-4  # s: step of the derivative along the joint velocities
+FILTER = 0.4  # share of the new value in each tick's average: a time constant of about 40 ms
+HEIGHT_BLEND = 0.03  # m: soles this far apart in height count as one planted foot, nearer ones as a mixture
+EPSILON = 1e-4  # s: step of the derivative along the joint velocities
 
 
 class Estimate(NamedTuple):
@@ -43,8 +43,8 @@ def _chain() -> tuple[list[tuple[str, np.ndarray, float]], np.ndarray]:
     return links, np.array([0.035, 0.0, -0.035])
 
 
-_LINKS, _SOLE = _chain()
-_POINTS = np.stack([_SOLE, _SOLE, _SOLE + np.array([0.0, 0.0, 1.0])])[
+LINKS, SOLE = _chain()
+_POINTS = np.stack([SOLE, SOLE, SOLE + np.array([0.0, 0.0, 1.0])])[
     :, None
 ]  # (3, 1, 3): soles now, later, and 1 m above
 _MIRROR_Y = np.array([1.0, -1.0])
@@ -64,7 +64,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def sole_points(legs: np.ndarray, offset: np.ndarray = _SOLE) -> np.ndarray:
+def sole_points(legs: np.ndarray, offset: np.ndarray = SOLE) -> np.ndarray:
     """Return a point of each sole in the pelvis frame.
 
     Args:
@@ -74,11 +74,11 @@ def sole_points(legs: np.ndarray, offset: np.ndarray = _SOLE) -> np.ndarray:
     Returns:
         (..., 2, 3) left and right [m].
     """
-    joints = np.ascontiguousarray(legs).reshape(*legs.shape[:-1], 2, len(_LINKS))
+    joints = np.ascontiguousarray(legs).reshape(*legs.shape[:-1], 2, len(LINKS))
     cos, sin = np.cos(joints), np.sin(joints)  # of all at once: a strided part may round otherwise
     x, y, z = (offset[..., axis, None] for axis in range(3))
-    for index in range(len(_LINKS) - 1, -1, -1):
-        axis, position, pitch = _LINKS[index]
+    for index in range(len(LINKS) - 1, -1, -1):
+        axis, position, pitch = LINKS[index]
         x, y, z = _turn(axis, cos[..., index], sin[..., index], x, y, z)
         if pitch:
             x, y, z = _turn("y", np.cos(pitch), np.sin(pitch), x, y, z)
@@ -95,15 +95,15 @@ def estimate(down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np
         legs: (N, 12) positions of ``g1.LEG_JOINTS`` [rad].
         leg_rates: (N, 12) their velocities [rad/s].
     """
-    soles, later, above = sole_points(np.stack([legs, legs + _EPSILON * leg_rates, legs]), _POINTS)  # (N, 2, 3) each
+    soles, later, above = sole_points(np.stack([legs, legs + EPSILON * leg_rates, legs]), _POINTS)  # (N, 2, 3) each
     normals = above - soles
-    moving = (later - soles) / _EPSILON + _cross(gyro[:, None], soles)
+    moving = (later - soles) / EPSILON + _cross(gyro[:, None], soles)
     up = -down
     forward = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
     heading = np.stack([forward, _cross(up, forward)], axis=1)  # (N, 2, 3): rows are heading axes in the pelvis frame
     height = (soles * up[:, None]).sum(axis=2)
-    left = np.clip(0.5 + (height[:, 1] - height[:, 0]) / _HEIGHT_BLEND, 0.0, 1.0)
+    left = np.clip(0.5 + (height[:, 1] - height[:, 0]) / HEIGHT_BLEND, 0.0, 1.0)
     weights = np.stack([left, 1 - left], axis=1)[..., None]  # (N, 2, 1)
     velocity = -(heading * (weights * moving).sum(axis=1)[:, None]).sum(axis=2)
     upright = (normals * up[:, None]).sum(axis=2)
@@ -114,4 +114,4 @@ def estimate(down: np.ndarray, gyro: np.ndarray, legs: np.ndarray, leg_rates: np
 
 def smooth(average: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Move a running average (N, 2) towards the newest estimate."""
-    return average + _FILTER * (np.clip(velocity, -2.0, 2.0) - average)
+    return average + FILTER * (np.clip(velocity, -2.0, 2.0) - average)

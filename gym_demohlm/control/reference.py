@@ -28,14 +28,14 @@ SLEW = Settings().slew
 WALK_HEIGHT = 0.60  # m: lowest while stepping
 WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
 WALK_YAW = 0.3  # rad: most turned while stepping
-_NEARLY_THERE = np.array([0.06, 0.1, 0.15, 0.2])  # m, rad, rad, rad: height, roll, pitch, yaw
+NEARLY_THERE = np.array([0.06, 0.1, 0.15, 0.2])  # m, rad, rad, rad: height, roll, pitch, yaw
 # A squat is too deep to lean back in where the ankles end (0.87 rad) before the centre of mass is over the soles: it
 # stays less than 3 cm behind their middle, arms at home, above this forward lean [rad], linear in height [m].
 LEAN_BACK_HEIGHT, LEAN_BACK, LEAN_BACK_SLOPE = 0.40, 0.03, -2.2
 LEAN_ASIDE = 0.70  # sine of the sideways lean that rolling a turned and bent torso may add up to: then the waist ends
-_UPRIGHT_ROLL = 0.1  # rad
-_OUTSIDE = np.array([0.05, 0.1, 0.1, 0.1, 0.1])  # m, rad: so far outside the postures of a walk the soles may turn
-_TURNS = np.array([joint.endswith("hip_yaw") for joint in features.DRIVEN_JOINTS])
+UPRIGHT_ROLL = 0.1  # rad
+OUTSIDE = np.array([0.05, 0.1, 0.1, 0.1, 0.1])  # m, rad: so far outside the postures of a walk the soles may turn
+TURNS = np.array([joint.endswith("hip_yaw") for joint in features.DRIVEN_JOINTS])
 STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
 # A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
 STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
@@ -47,14 +47,14 @@ LATERAL_SHIFT = 0.062  # m of pelvis shift for a sideways lean of the torso of s
 # What the waist carries, weight times lever [Nm], arms at home: upwards and ahead (wbc.quasi_static.torso_load).
 TORSO_LOAD_UP, TORSO_LOAD_AHEAD = 20.12, 1.57
 # rad per Nm of arms held out ahead, hip pitch, knee, ankle pitch: a leg bears half, its knee is half-way to the ankle.
-_ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
+ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("knee").stiffness, 0.0])
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
-_WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
+WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
-_WIDENS = 0.25  # gait periods after the command stops in which the feet walk apart
-_LARGEST_TILT = 0.3  # rad, unplanned, that legs make up for
+WIDENS = 0.25  # gait periods after the command stops in which the feet walk apart
+LARGEST_TILT = 0.3  # rad, unplanned, that legs make up for
 _HIP_YAWS = [g1.LEG_JOINTS.index(f"{side}_hip_yaw") for side in g1.SIDES]
-_SOLE_MIDDLE = 0.035  # m, of a sole, ahead of its ankle
+SOLE_MIDDLE = 0.035  # m, of a sole, ahead of its ankle
 
 
 class Clock(NamedTuple):
@@ -95,7 +95,7 @@ def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> n
     posture = current[:, 3:7]
     bent = (posture[:, 0] < WALK_HEIGHT - 0.01) | (posture[:, 2] > WALK_PITCH[1] + 0.02)
     bent |= (np.abs(posture[:, [1, 3]]) > [0.1, WALK_YAW + 0.05]).any(axis=1)
-    on_its_way = (np.abs(goal[:, 3:] - posture) > _NEARLY_THERE).any(axis=1)
+    on_its_way = (np.abs(goal[:, 3:] - posture) > NEARLY_THERE).any(axis=1)
     goal[bent | (standing & on_its_way), :3] = 0.0
     goal[:, 3:] = balanced(goal[:, 3:], current[:, 3])
     steps = ~standing
@@ -143,14 +143,14 @@ def action_scale(standing: np.ndarray, torso: np.ndarray) -> np.ndarray:
     outside = np.stack(
         [
             WALK_HEIGHT - torso[:, 0],
-            np.abs(torso[:, 1]) - _UPRIGHT_ROLL,
+            np.abs(torso[:, 1]) - UPRIGHT_ROLL,
             torso[:, 2] - WALK_PITCH[1],
             WALK_PITCH[0] - torso[:, 2],
             np.abs(torso[:, 3]) - WALK_YAW,
         ]
     )
-    turns = np.where(standing, np.clip((outside / _OUTSIDE[:, None]).max(axis=0), 0.0, 1.0), 1.0)
-    return np.where(_TURNS, turns[:, None] * features.ACTION_SCALE, features.ACTION_SCALE)
+    turns = np.where(standing, np.clip((outside / OUTSIDE[:, None]).max(axis=0), 0.0, 1.0), 1.0)
+    return np.where(TURNS, turns[:, None] * features.ACTION_SCALE, features.ACTION_SCALE)
 
 
 def slew(current: np.ndarray, goal: np.ndarray, rates: Sequence[float] = SLEW) -> np.ndarray:
@@ -248,6 +248,9 @@ class Reference:
             pitch of the pelvis [rad], and how far hip pitch, knee and ankle pitch give [rad].
         arm_table: What ``ArmLoad`` takes: how arms away from home shift the weight.
         gait: How it walks.
+
+    Attributes:
+        ahead: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far ahead of its ankles the pelvis is, arms at home [m].
     """
 
     def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray, gait: Gait = GAIT) -> None:
@@ -255,8 +258,7 @@ class Reference:
         self.posture_table = np.array(posture_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
         shift, tilt = self.posture_table[..., 0], self.posture_table[..., 1]
-        # Lists: a few numbers at a time are sooner found in them.
-        self._ahead = (g1.HIP_DROP * np.sin(tilt) - shift).tolist()
+        self.ahead = g1.HIP_DROP * np.sin(tilt) - shift
 
     def statics(self, height: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Interpolate the table: heights, forward leans (N,) -> ankle shift, pelvis pitch (N,), sag of a leg (N, 3)."""
@@ -285,7 +287,7 @@ class Reference:
             The distance [m], and its derivatives by height [m/m] and by pitch [m/rad].
         """
         (i, u, rows), (j, v, columns) = _cell(height, TABLE_HEIGHTS), _cell(pitch, TABLE_PITCHES)
-        (a, b), (c, d) = self._ahead[i][j : j + 2], self._ahead[i + 1][j : j + 2]
+        (a, b), (c, d) = self.ahead[i, j : j + 2], self.ahead[i + 1, j : j + 2]
         low, high = a + v * (b - a), c + v * (d - c)
         return low + u * (high - low), (high - low) * rows, ((b - a) + u * (d - c - b + a)) * columns
 
@@ -376,7 +378,7 @@ class Reference:
         progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
         reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
         lift = np.where(swings & walks, gait.lift * np.sin(np.pi * u) ** 2, 0.0)
-        apart = gait.spread + (g1.HIP_SPREAD - gait.spread) * np.minimum(stopped / _WIDENS, 1.0)
+        apart = gait.spread + (g1.HIP_SPREAD - gait.spread) * np.minimum(stopped / WIDENS, 1.0)
         out = np.where(walking, apart, g1.HIP_SPREAD) + np.where(walking, gait.widen * np.abs(vy), 0.0)
         ankles = leg_ik.Vectors(
             vx[:, None] * progress + extra[:, :1] * reach + ahead[:, None],
@@ -416,7 +418,7 @@ class Reference:
             (N, 2) ahead and to the left [m].
         """
         footing = self.footing(command, moment)
-        planned = np.stack([-footing.ahead - _SOLE_MIDDLE, -footing.aside], axis=1)
+        planned = np.stack([-footing.ahead - SOLE_MIDDLE, -footing.aside], axis=1)
         return over_soles - planned + velocity * np.sqrt(command[:, 3:4] / GRAVITY)
 
     def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
@@ -434,7 +436,7 @@ class Reference:
         height, roll, pitch, yaw = np.ascontiguousarray(command[:, 3:7].T)
         _, _, legs = self.statics(height, attitude.lean(roll, pitch, yaw)[0])
         ahead, aside = GRAVITY * moment.T  # Nm
-        legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * _ARMS_SAG
+        legs = legs + (np.cos(yaw) * ahead - np.sin(yaw) * aside)[:, None] * ARMS_SAG
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
         alone = np.minimum(np.minimum(own - self.gait.swing, 1 - own) / (0.5 - self.gait.swing), 1.0)
         bears = np.where(standing[:, None], 1.0, 2 * np.maximum(alone, 0.0))
@@ -442,9 +444,9 @@ class Reference:
         sides = further[:, :12].reshape(-1, 2, 6)
         sides[:, :, [0, 3, 4]] = bears[:, :, None] * legs[:, None]
         sides[:, :, 1] = _SIDES * HIP_ROLL_SAG * np.maximum(bears - 1, 0)
-        further[:, 13] = (aside - TORSO_LOAD_UP * np.sin(roll)) / _WAIST_STIFFNESS
+        further[:, 13] = (aside - TORSO_LOAD_UP * np.sin(roll)) / WAIST_STIFFNESS
         load_ahead = TORSO_LOAD_UP * np.sin(pitch) + TORSO_LOAD_AHEAD * np.cos(pitch)
-        further[:, 14] = -(ahead + load_ahead) / _WAIST_STIFFNESS
+        further[:, 14] = -(ahead + load_ahead) / WAIST_STIFFNESS
         return further
 
 
@@ -452,7 +454,7 @@ def _unplanned(attitude_now: np.ndarray | None, tilt: np.ndarray, bank: np.ndarr
     """Return how pitch and roll of a pelvis (N, 4) differ from those planned, bounded, and their rates, (N, 4)."""
     if attitude_now is None:
         return np.zeros((len(tilt), 4))
-    off = np.clip(attitude_now[:, :2] - np.stack([tilt, bank], axis=1), -_LARGEST_TILT, _LARGEST_TILT)
+    off = np.clip(attitude_now[:, :2] - np.stack([tilt, bank], axis=1), -LARGEST_TILT, LARGEST_TILT)
     return np.concatenate([off, np.clip(attitude_now[:, 2:], -3.0, 3.0)], axis=1)
 
 

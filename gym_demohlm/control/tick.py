@@ -15,25 +15,25 @@ from gym_demohlm.control.settings import Settings
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
-_LEGS, _LOWER = len(g1.LEG_JOINTS), reference.NUM_LOWER
-_HISTORY = features.HISTORY * features.FRAME_SIZE
-LAST_ACTION = slice(_HISTORY, _HISTORY + features.ACTION_SIZE)
+LEGS, _LOWER = len(g1.LEG_JOINTS), reference.NUM_LOWER
+HISTORY_SIZE = features.HISTORY * features.FRAME_SIZE
+LAST_ACTION = slice(HISTORY_SIZE, HISTORY_SIZE + features.ACTION_SIZE)
 SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
-_CLOCK = SLEWED.stop
-STANDING = _CLOCK + 2
-_VELOCITY = slice(_CLOCK + 3, _CLOCK + 5)
-_ARMS = slice(_VELOCITY.stop, _VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
-_CARRIED = slice(_ARMS.stop, _ARMS.stop + 2)
-_TRIM = slice(_CARRIED.stop, _CARRIED.stop + 5)
-STATE_SIZE = _TRIM.stop
+CLOCK = SLEWED.stop
+STANDING = CLOCK + 2
+VELOCITY = slice(CLOCK + 3, CLOCK + 5)
+ARMS = slice(VELOCITY.stop, VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
+CARRIED = slice(ARMS.stop, ARMS.stop + 2)
+TRIM = slice(CARRIED.stop, CARRIED.stop + 5)
+STATE_SIZE = TRIM.stop
 """Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing, velocity from
 the odometry, arm targets, loads, trim."""
 
-_REST = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT, 0.0, 0.0, 0.0])  # of a slewed command
+REST = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT, 0.0, 0.0, 0.0])  # of a slewed command
 _TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
-_CONSTANT = 0.01  # m/s, m, rad: a command that moves on by less than this in a step is taken for a constant one
-_WHILE_STANDING = np.array([False, True, True, True, True])  # when an entry is trimmed
-_LARGEST_ARM_SPEED = 5.0  # rad/s: what arm targets are led by at most
+CONSTANT = 0.01  # m/s, m, rad: a command that moves on by less than this in a step is taken for a constant one
+WHILE_STANDING = np.array([False, True, True, True, True])  # when an entry is trimmed
+LARGEST_ARM_SPEED = 5.0  # rad/s: what arm targets are led by at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,10 +154,10 @@ class Tick:
             arms: (N, 8) where the arms are sent [rad].
         """
         state = np.zeros((len(slewed), STATE_SIZE))
-        state[:, :_HISTORY] = np.tile(sensors.frame(), (1, features.HISTORY))
+        state[:, :HISTORY_SIZE] = np.tile(sensors.frame(), (1, features.HISTORY))
         state[:, SLEWED] = slewed
-        state[:, _CLOCK], state[:, _CLOCK + 1], state[:, STANDING] = clock
-        state[:, _ARMS] = arms
+        state[:, CLOCK], state[:, CLOCK + 1], state[:, STANDING] = clock
+        state[:, ARMS] = arms
         return state
 
     def perceive(self, state: np.ndarray, sensors: Sensors, commands: np.ndarray, arms: np.ndarray) -> Situation:
@@ -170,34 +170,34 @@ class Tick:
             arms: (N, 8) targets of the arms' joints but the wrists' [rad].
         """
         q, dq, gyro = sensors.q, sensors.dq, sensors.gyro
-        history = np.concatenate([state[:, features.FRAME_SIZE : _HISTORY], sensors.frame()], axis=1)
+        history = np.concatenate([state[:, features.FRAME_SIZE : HISTORY_SIZE], sensors.frame()], axis=1)
         current, stood = state[:, SLEWED], state[:, STANDING] > 0.5
         goal = reference.admissible(commands, current, stood)
         slewed = reference.slew(current, goal, self.settings.slew)
         down = features.gravity(sensors.quat_wxyz)
-        found = odometry.estimate(down, gyro, q[:, :_LEGS], dq[:, :_LEGS])
-        velocity = odometry.smooth(state[:, _VELOCITY], found.velocity)
-        waist = q[:, _LEGS:_LOWER]
+        found = odometry.estimate(down, gyro, q[:, :LEGS], dq[:, :LEGS])
+        velocity = odometry.smooth(state[:, VELOCITY], found.velocity)
+        waist = q[:, LEGS:_LOWER]
         down_torso = attitude.in_torso(down, waist)
-        before = state[:, _ARMS]
+        before = state[:, ARMS]
         carried = self.reference.arm_load.weigh(
-            state[:, _CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, CONTROL_DT
+            state[:, CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, CONTROL_DT
         )
         startled = self._startled(current, before, carried, found, velocity)
         clock = reference.advance_clock(
-            state[:, _CLOCK], state[:, _CLOCK + 1], stood, slewed[:, :3], startled, self.reference.gait
+            state[:, CLOCK], state[:, CLOCK + 1], stood, slewed[:, :3], startled, self.reference.gait
         )
         turning = -(down * gyro).sum(axis=1)
         measured = np.stack([turning, found.height, *attitude.roll_pitch(down_torso), waist[:, 0]], axis=1)
-        constant = (np.abs(goal - current) < _CONSTANT).all(axis=1, keepdims=True)
-        learns = constant & (clock.standing[:, None] == _WHILE_STANDING)
-        correction = trim.advance(state[:, _TRIM], slewed[:, _TRIMMED], measured, learns, self.settings.trim)
-        told = slewed + self._further * (slewed - _REST)
+        constant = (np.abs(goal - current) < CONSTANT).all(axis=1, keepdims=True)
+        learns = constant & (clock.standing[:, None] == WHILE_STANDING)
+        correction = trim.advance(state[:, TRIM], slewed[:, _TRIMMED], measured, learns, self.settings.trim)
+        told = slewed + self._further * (slewed - REST)
         torso, torso_height = told[:, _TORSO], slewed[:, _TORSO.start]
         trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
         correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)
         told[:, _TRIMMED] += correction
-        arm_velocity = np.clip((arms - before) / CONTROL_DT, -_LARGEST_ARM_SPEED, _LARGEST_ARM_SPEED)
+        arm_velocity = np.clip((arms - before) / CONTROL_DT, -LARGEST_ARM_SPEED, LARGEST_ARM_SPEED)
         return Situation(
             history=history,
             last_action=state[:, LAST_ACTION],

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.arithmetic import ExactProduct, elu
+from gym_demohlm.arithmetic import ExactProduct
 from gym_demohlm.control import arm_load, command, features, reference
+from gym_demohlm.control.kernels import network
+from gym_demohlm.control.kernels import tick as kernels
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.tick import LAST_ACTION, SLEWED, STANDING, STATE_SIZE, Sensors, Tick
@@ -29,6 +31,7 @@ DEFAULT_WEIGHTS = WEIGHTS_FOLDER / f"{DEFAULT_NAME.read_text().strip()}.npz"
 WEIGHTS_FORMAT = 5
 _FORMATS = dict(zip((4, WEIGHTS_FORMAT), features.OBSERVATION_SIZES, strict=True))
 _TABLES = (len(reference.TABLE_HEIGHTS), len(reference.TABLE_PITCHES), 5), arm_load.TABLE_SHAPE
+_ARMS = slice(reference.NUM_LOWER, None)  # of the body joints
 _LARGEST_INPUT = 6.0  # deviations from the mean: what training clips observations to
 _LARGEST_HIDDEN = 64.0  # of a hidden unit: far above what occurs
 
@@ -132,8 +135,8 @@ class WholeBodyController:
         self.reference = self.weights.make_reference()
         self._tick = Tick(self.reference, self.weights.settings)
         self.state = np.zeros((num_worlds, STATE_SIZE))
-        ranges = g1.joint_ranges(g1.read_mjcf())[reference.NUM_LOWER :]
-        self._lower, self._upper = ranges[:, 0], ranges[:, 1]
+        self._lower, self._upper = np.ascontiguousarray(g1.joint_ranges(g1.read_mjcf()).T)
+        self._numbers = kernels.Numbers.of(self.reference, self.settings)
 
     @property
     def settings(self) -> Settings:
@@ -144,6 +147,7 @@ class WholeBodyController:
     def settings(self, settings: Settings) -> None:
         self.reference.gait = settings.gait
         self._tick = Tick(self.reference, settings)
+        self._numbers = kernels.Numbers.of(self.reference, settings)
 
     @property
     def physics(self) -> Physics:
@@ -194,22 +198,31 @@ class WholeBodyController:
             Joint targets (M, 29) [rad].
         """
         chosen = slice(None) if worlds is None else worlds
-        arms = commands[:, command.ARMS]
-        followed = arms[:, features.OBSERVED_ARM_INDEX]
-        situation = self._tick.perceive(self.state[chosen], Sensors.of(sensed), commands, followed)
-        action = np.clip(self._act(situation.observation()), -features.ACTION_LIMIT, features.ACTION_LIMIT)
-        self.state[chosen] = situation.remember(action)
-        lower = self._tick.targets(situation, action)
-        return np.concatenate([lower, np.clip(arms, self._lower, self._upper)], axis=1)
+        before, count = self.state[chosen], len(sensed)
+        after, told, attitude = np.empty_like(before), np.empty((count, 7)), np.empty((count, 4))
+        observed, targets = np.empty((count, features.OBSERVATION_SIZE)), np.empty((count, len(self._lower)))
+        quat_wxyz, gyro = np.ascontiguousarray(sensed.quat_wxyz), np.ascontiguousarray(sensed.gyro)
+        q, dq, commands = (np.ascontiguousarray(rows) for rows in (sensed.q, sensed.dq, commands))
+        kernels.perceive(
+            self._numbers, before, quat_wxyz, gyro, q, dq, commands, command.ARMS.start, after, observed, told, attitude
+        )  # fmt: skip
+        action = self._act(observed)
+        kernels.targets(self._numbers, after, told, attitude, action, self._lower, self._upper, targets)
+        self.state[chosen] = after
+        np.clip(commands[:, command.ARMS], self._lower[_ARMS], self._upper[_ARMS], out=targets[:, _ARMS])
+        return targets
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
-        """Return the symmetric policy's mean action, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        inputs = len(self.weights.mean)
-        latent = (observed[:, :inputs] - self.weights.mean) * self.weights.scale  # the first product clips it
-        mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
-        hidden = np.concatenate([latent, features.mirror(latent, mirror)])
-        for product, bias in self.weights.layers[:-1]:
-            hidden = elu(product(hidden) + bias)
-        product, bias = self.weights.layers[-1]
-        seen, in_mirror = np.split(product(hidden) + bias, 2)
-        return 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
+        """Return the symmetric policy's mean action within its limit, (M, OBSERVATION_SIZE) -> (M, 15)."""
+        weights, limit = self.weights, features.ACTION_LIMIT
+        first, inputs = weights.layers[0][0], len(weights.mean)
+        source, sign = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+        hidden = np.empty((2 * len(observed), inputs))
+        network.enter(observed, weights.mean, weights.scale, source, sign, first.row_step, first.bound, hidden)
+        for (product, bias), (following, _) in pairwise(weights.layers):
+            hidden = product.of_steps(hidden)
+            network.activate(hidden, bias, following.row_step, following.bound)
+        product, bias = weights.layers[-1]
+        action = np.empty((len(observed), features.ACTION_SIZE))
+        network.leave(product.of_steps(hidden), bias, *features.ACTION_MIRROR, limit, action)
+        return action

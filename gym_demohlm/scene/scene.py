@@ -13,26 +13,19 @@ from gym_demohlm.arithmetic import norm
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1, neck
 from gym_demohlm.robot.physics import Physics
-from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names, robot_spec
-from gym_demohlm.scene.furniture import add_picture
+from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names
+from gym_demohlm.scene.building import CONTACT_SLOTS, collision_name, contact_name, scene_spec
 from gym_demohlm.scene.shapes import Shapes
 from gym_demohlm.task import InitialState, ObjectSpec, Task
 from gym_demohlm.variation import NONE, Conditions, Variation
 from gym_demohlm.variation.bodies import lowest_point, vary
 from gym_demohlm.variation.factors import LIMBS
-from gym_demohlm.variation.surroundings import furnish, place_clutter, resize_clutter, table_top
-
-OVERVIEW_CAMERA, OVERVIEW_FOVY = "overview", 45.0  # degrees
-HAND_BODIES = {side: f"{side}_wrist_yaw_link" for side in g1.SIDES}
-"""The body whose subtree is a hand, with its palm or gripper."""
+from gym_demohlm.variation.surroundings import place_clutter, resize_clutter, table_top
 
 FRAME_ALIASES = {"torso": "torso_link"}
 """Short names of frames -> names in the MJCF. Every name of a body or site is a frame name too."""
 
-_SHOT, _LEAD = np.array([0.5, 0.35, 0.0]), 11340.0  # place of the shot in a box, in half lengths; kg/m^3
-_CONTACT_SLOTS = 8  # the strongest contacts of a pair; their normal forces are summed
 _SHAPES_KEPT = 256  # worlds whose shapes are remembered
-_MAX_FORCE = 2  # a contact sensor's reduction: keep the contacts with the largest force
 
 
 @dataclass(frozen=True)
@@ -89,7 +82,7 @@ class Scene:
 
     def __init__(self, task: Task, physics: Physics | None = None, variation: Variation = NONE) -> None:
         self.task, self.variation = task, variation
-        spec = _build_spec(task, physics, variation)
+        spec = scene_spec(task, physics, variation)
         bare = spec.copy()
         bare.compiler.discardvisual = True
         try:
@@ -112,8 +105,8 @@ class Scene:
         self.jaw_qpos, self.jaw_qvel = self._joints([f"{jaw}_joint" for jaw in jaws])
         self.num_grippers = len(jaws)
         self._check_actuators()
-        self.contact_address = self._forces([_contact_name(*pair) for pair in task.contact_pairs + task.force_pairs])
-        self.collision_address = self._forces([_collision_name(name) for name in task.obstacles])
+        self.contact_address = self._forces([contact_name(*pair) for pair in task.contact_pairs + task.force_pairs])
+        self.collision_address = self._forces([collision_name(name) for name in task.obstacles])
         self._standing_height = self._find_standing_height()
         self._placements = tuple(self._placement(entry) for entry in task.objects)
         self.loose = tuple(entry.spec.name for entry in self._placements if entry.qpos_address is not None)
@@ -124,7 +117,8 @@ class Scene:
         sites = {model.site(index).name: ("site", index) for index in range(model.nsite)}
         self._frames = bodies | sites
         self._frames |= {alias: self._frames[name] for alias, name in FRAME_ALIASES.items()}
-        self._supports = tuple(self._mocap_index(name) for name in task.supports)
+        placed = {entry.name for entry in task.objects}  # a support that is tracked too is placed as an object is
+        self._supports = tuple(self._mocap_index(name) for name in task.supports if name not in placed)
         self._top = table_top(spec, task) if "scene" in variation.groups else None
 
     def frame(self, name: str) -> tuple[str, int]:
@@ -343,7 +337,7 @@ class Scene:
 
     def _forces(self, names: Sequence[str]) -> np.ndarray:
         starts = np.array([self.model.sensor(name).adr[0] for name in names], dtype=np.int64).reshape(-1, 1)
-        return starts + 3 * np.arange(_CONTACT_SLOTS)  # a contact force's first component is the normal one
+        return starts + 3 * np.arange(CONTACT_SLOTS)  # a contact force's first component is the normal one
 
     def _placement(self, spec: ObjectSpec) -> _Placement:
         address = self._free_joint_or_none(spec.name)
@@ -394,162 +388,11 @@ def build_scene(task: Task, physics: Physics | None = None, variation: Variation
     return Scene(task, physics, variation)
 
 
-def scene_spec(task: Task, variation: Variation = NONE) -> mujoco.MjSpec:
-    """Return the scene of a task before it is compiled, for copies that are drawn with more on them."""
-    return _build_spec(task, None, variation)
-
-
 def _without_noslip(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model without the no-slip pass."""
     found = copy.copy(model)
     found.opt.noslip_iterations = 0
     return found
-
-
-def aim_overview(
-    spec: mujoco.MjSpec,
-    eye: tuple[float, float, float],
-    target: tuple[float, float, float],
-    body: mujoco.MjsBody | None = None,
-) -> None:
-    """Put the overview camera at ``eye`` and let it look at ``target``.
-
-    Args:
-        spec: The scene.
-        eye: Position of the camera in the body's frame [m].
-        target: Point in the middle of the picture, in the body's frame [m].
-        body: Body that the camera is fixed to, such as furniture that should always be seen from one side; the world by
-            default.
-    """
-    camera = spec.camera(OVERVIEW_CAMERA)
-    if body is not None:
-        spec.delete(camera)
-        camera = body.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
-    camera.pos, camera.quat = eye, _look_at(np.array(eye), np.array(target))
-
-
-def _build_spec(task: Task, physics: Physics | None, variation: Variation = NONE) -> mujoco.MjSpec:
-    spec = robot_spec(task.hands, physics)
-    spec.modelname = task.name
-    _add_surroundings(spec)
-    task.build(spec)
-    if "scene" in variation.groups:
-        furnish(spec, task)
-    _unbalance(spec)
-    if "objects" in variation.groups:
-        _load_off_centre(spec, task)
-    for side, name in task.contact_pairs:
-        _add_contact_sensor(spec, _contact_name(side, name), HAND_BODIES[side], name)
-    for first, second in task.force_pairs:
-        _add_contact_sensor(spec, _contact_name(first, second), first, second)
-    for name in task.obstacles:
-        _add_contact_sensor(spec, _collision_name(name), "pelvis", name)
-    return spec
-
-
-def _unbalance(spec: mujoco.MjSpec) -> None:
-    """Put a small lead ball into every loose box, off its middle.
-
-    A box in exact balance on another one comes to rest with faces that are parallel to the last bit. There MuJoCo's box
-    collider (3.11 and before, issue 3476) sometimes finds a contact as deep as the whole box and throws it across the
-    room: 5 cm cubes on a table, once in 1500 s. A box off balance leans by about 1e-7 rad, which is enough. The ball
-    makes it heavier by less than half a percent.
-    """
-    for body in spec.bodies:
-        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-            for box in body.geoms:
-                if box.type == mujoco.mjtGeom.mjGEOM_BOX and (box.contype or box.conaffinity):
-                    middle = poses.transform(poses.pose(box.pos, box.quat), _SHOT * box.size).tolist()
-                    radius = 0.05 * min(box.size)
-                    mass = 4 / 3 * math.pi * radius**3 * _LEAD
-                    add_picture(body, "sphere", [radius], middle, (0, 0, 0, 0), mass)
-
-
-def _load_off_centre(spec: mujoco.MjSpec, task: Task) -> None:
-    """Put a gram off the middle of every loose object.
-
-    MuJoCo lays the matrices of a body out in another way where its centre of mass is its origin. Worlds that are
-    stepped together must be laid out alike, whatever the centres of mass of their objects.
-    """
-    for entry in task.objects:
-        body = spec.body(entry.name)
-        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-            add_picture(body, "sphere", [1e-3], (0.01, 0.01, 0.01), (0, 0, 0, 0), 1e-3)
-
-
-def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    """Add floor, sky, light, the overview camera, and an image buffer of 640x480."""
-    visual = spec.visual
-    visual.global_.offwidth, visual.global_.offheight = 640, 480
-    visual.quality.offsamples = 0  # multisampling costs most of a frame in software
-    visual.headlight.ambient, visual.headlight.diffuse = [0.35, 0.35, 0.35], [0.45, 0.45, 0.45]
-    visual.map.znear, visual.quality.shadowsize, visual.map.shadowscale = 0.01, 4096, 0.4
-    spec.stat.center, spec.stat.extent = [-0.2, 0.0, 0.5], 2.5  # m: what shadows and clipping planes are fitted to
-    builtin = mujoco.mjtBuiltin
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=builtin.mjBUILTIN_GRADIENT,
-        rgb1=[0.86, 0.90, 0.94],
-        rgb2=[0.55, 0.66, 0.76],
-        width=128,
-        height=768,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=builtin.mjBUILTIN_CHECKER,
-        rgb1=[0.60, 0.62, 0.64],
-        rgb2=[0.54, 0.56, 0.58],
-        width=256,
-        height=256,
-    )
-    material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, reflectance=0.0)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    world = spec.worldbody
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[10, 10, 0.1],
-        material="floor",
-        contype=g1.WORLD_BIT,
-        conaffinity=g1.ROBOT_BIT | g1.WORLD_BIT,
-        condim=3,
-        friction=[0.8, 0.005, 0.0001],
-    )
-    lamp = np.array([0.8, -1.6, 3.2])
-    world.add_light(
-        name="lamp",
-        type=mujoco.mjtLightType.mjLIGHT_SPOT,
-        pos=lamp,
-        dir=np.array([-0.3, 0.0, 0.4]) - lamp,
-        cutoff=75,
-        exponent=1,
-        diffuse=[0.5, 0.5, 0.5],
-        castshadow=True,
-    )
-    world.add_camera(name=OVERVIEW_CAMERA, fovy=OVERVIEW_FOVY)
-    aim_overview(spec, (1.55, -1.95, 1.35), (-0.3, 0.1, 0.55))
-
-
-def _add_contact_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
-    spec.add_sensor(
-        name=name,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_XBODY,  # a whole subtree
-        objname=subtree,
-        reftype=mujoco.mjtObj.mjOBJ_XBODY,
-        refname=body,
-        intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, _MAX_FORCE, _CONTACT_SLOTS],
-    )
-
-
-def _contact_name(first: str, second: str) -> str:
-    return f"contact_{first}_{second}"
-
-
-def _collision_name(name: str) -> str:
-    return f"collision_{name}"
 
 
 def _three_numbers(state: InitialState, key: str) -> tuple[float, float, float]:
@@ -571,13 +414,3 @@ def _pose(position: tuple[float, float, float], yaw: float) -> np.ndarray:
 
 def _yaw_quat(yaw: float) -> tuple[float, float, float, float]:
     return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-
-
-def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the quaternion wxyz of a camera (x right, y up, looking along -z) at eye that looks at target."""
-    back = (eye - target) / norm(eye - target)
-    right = np.cross([0, 0, 1], back)
-    right /= norm(right)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).flatten())
-    return quat

@@ -265,12 +265,13 @@ class Simulation(Worlds):
         rows = np.flatnonzero(stepped)
         previous_neck, next_neck = self._neck.copy(), self._next_neck(self.p_camera_gaze)
         previous_arms, next_arms = self._command[:, command.ARMS].copy(), valid[:, command.ARMS]
-        now = valid.copy()
+        now, touching = valid.copy(), self._touching(np.arange(num_worlds))
+        models = [models[0 if touches else 1] for models, touches in zip(self._models, touching, strict=True)]
         for tick in range(TICKS):
             share = (tick + 1) / TICKS
             now[:, command.ARMS] = (1.0 - share) * previous_arms + share * next_arms
             self._neck[stepped] = ((1.0 - share) * previous_neck + share * next_neck)[stepped]
-            rows = self._tick(tick, rows, now)
+            rows = self._tick(tick, rows, now, models)
             if self.on_tick is not None:
                 self.on_tick(rows, now)
         forces[rows], collisions[rows] = self._measure(rows)
@@ -430,13 +431,14 @@ class Simulation(Worlds):
         """Stop the threads."""
         self._pool.close()
 
-    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    def _tick(self, tick: int, rows: np.ndarray, commands: np.ndarray, models: Sequence[mujoco.MjModel]) -> np.ndarray:
         """Run one controller tick of some worlds; returns those of them whose physics is sound.
 
         Args:
             tick: Which of the step's ticks, where to keep the sensors.
             rows: (n,) the worlds.
             commands: (N, 23), a row for every world.
+            models: N, what each world is stepped with.
         """
         count = len(rows)
         if count == 0:
@@ -458,7 +460,7 @@ class Simulation(Worlds):
             self._targets[rows] = targets
         states = self._states[:count]
         self._pool.rollout(
-            [self._models[row][0 if touching else 1] for row, touching in zip(rows, self._touching(rows), strict=True)],
+            [models[row] for row in rows],
             self._data,
             before,
             control,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
 
 BOX_SIZE, BOX_MASS = (0.24, 0.24, 0.16), 0.8  # m, kg
-TABLE_HEIGHT = 0.62  # m, of both tables
+TABLE_HEIGHT = 0.72  # m, of both tables
 TABLE_POSITION, TABLE_RADIUS = (0.42, 0.0), 0.11  # m; narrower than the box, so that palms pass its rim
 GOAL_POSITION, GOAL_RADIUS = (0.10, -1.45), 0.17  # m
 BOX_POSITION = (*TABLE_POSITION, TABLE_HEIGHT + BOX_SIZE[2] / 2 + 1e-4)
@@ -55,7 +55,7 @@ TASK = Task(
     success=_set_down,
     failures={"dropped": dropped("box", DROP)},
     gaze_target="box",
-    supports=("table",),
+    supports=("table", "goal"),
     obstacles=("table", "goal"),
     contact_pairs=(("left", "box"), ("right", "box")),
     spreads={"goal": Spread(x=(-0.25, 0.25), y=(-0.25, 0.25), everywhere=True)},

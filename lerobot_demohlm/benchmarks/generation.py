@@ -1,7 +1,7 @@
 """Attempts at a task on one core -> CPU seconds an attempt, where they go, and episodes an hour and core.
 
 All that a worker does is counted: commands, inverse kinematics, controller, physics, judging, and writing the successes
-as LeRobot datasets. Compiling the scene and loading the demonstration, once a worker, are not.
+as LeRobot datasets. What a worker does once is not: compiling the scene, loading demonstration and compiled kernels.
 """
 
 import resource
@@ -45,6 +45,7 @@ def measure(
     sim = Simulation(task, BLOCK_SIZE, controller=controller, pool=pool)
     plain = Settings(variation=PLAIN)  # as in all earlier measurements
     attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, settings=plain, sim=sim)
+    attempts.run([0])  # it loads what is loaded once
     watch.watch(pool, "rollout", "mj_step")
     watch.watch(sim.controller, "step", "controller")
     watch.watch(attempts.ik, "solve", "inverse_kinematics")

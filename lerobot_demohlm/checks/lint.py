@@ -157,6 +157,7 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
         falls += sim.fallen() & ~sim.unstable
         restart = np.flatnonzero(sim.fallen() | sim.unstable)
         seen.append(_observe(sim))
+    zero = _zero_by_definition(sim)
     sim.close()
     still, moved = slice(0, num_still), slice(num_still, None)
     standing = f"{num_still} worlds of {num_steps * STEP_DT:g} s, {falls[still].sum()} falls"
@@ -165,21 +166,33 @@ def _check_episodes(task: Task, settings: Settings) -> list[Check]:
         _never("success standing still", success[still], standing),
         _never("failure standing still", failure[still], standing),
         _never("success by random commands", success[moved], random),
-        *_check_observations(task, np.stack(seen)),
+        *_check_observations(task, np.stack(seen), zero),
         _never("MuJoCo warning, NaN or speed", broken, f"{num_worlds} worlds"),
         _depth_check("depth in these worlds", watch.lasting),
         _depth_check("depth at impacts in these worlds", watch.deepest, MAX_IMPACT_DEPTH),
     ]
 
 
-def _check_observations(task: Task, seen: np.ndarray) -> list[Check]:
-    """Check the observations (steps, N, numbers)."""
+def _zero_by_definition(sim: Simulation) -> set[str]:
+    """Return the names of the numbers that a policy sees and that stay zero, whatever happens.
+
+    A hand without a gripper has its place in the observation all the same. A round object is reported with its x axis
+    where the camera heads: where it always stands upright, as furniture does, its y axis is level and across.
+    """
+    zero = {f"{joint}.{kind}" for joint in GRIPPER_JOINTS for kind in ("pos", "vel") if sim.task.hands == "rubber"}
+    for entry in sim.task.objects:
+        stands = sim.model.body(entry.name).mocapid[0] >= 0
+        if entry.symmetry == "any" and stands:
+            zero.add(f"{entry.name}_r12.pos")
+    return zero
+
+
+def _check_observations(task: Task, seen: np.ndarray, zero: set[str]) -> list[Check]:
+    """Check the observations (steps, N, numbers), of which those called ``zero`` need not change."""
     names = np.array([*observation.STATE_NAMES, *observation.environment_names(task)])
     numbers = seen.reshape(-1, seen.shape[-1])
     infinite = names[~np.isfinite(numbers).all(axis=0)]
-    constant = set(names[np.ptp(numbers, axis=0) < LEAST_CHANGE])
-    if task.hands == "rubber":  # a hand without a gripper has its place in the observation all the same
-        constant -= {f"{joint}.{kind}" for joint in GRIPPER_JOINTS for kind in ("pos", "vel")}
+    constant = set(names[np.ptp(numbers, axis=0) < LEAST_CHANGE]) - zero
     return [
         _none("observation finite", infinite, "none that is not"),
         _none("observation changes", constant, "none that never does"),

@@ -22,6 +22,7 @@ class Options:
         num_processes: With --device cpu, processes that share 512 worlds, one a core.
         resume: Go on from the last checkpoint.
         polish: Learn slowly and explore little, for the last part of a run.
+        noise: Standard deviation of exploring actions, held constant; half of it in the hip-yaw joints.
         max_steps: Control steps of the whole run after which it ends.
         evaluate_every: Iterations between evaluations.
         warm_start: Exported weights that the actor goes on from. The critic begins afresh.
@@ -39,6 +40,7 @@ class Options:
     num_processes: Annotated[int | None, default(str(_CPU_PROCESSES))] = None
     resume: bool = False
     polish: bool = False
+    noise: Annotated[float | None, default("learned, at most 0.12 with --polish or --warm-start")] = None
     max_steps: Annotated[int | None, default("no end")] = None
     evaluate_every: int = TrainConfig.evaluate_every
     warm_start: Annotated[Path | None, default("nothing")] = None
@@ -69,6 +71,7 @@ def run(options: Options) -> None:
         num_processes=options.num_processes or config.num_processes,
         polish=options.polish,
         largest_noise=POLISHING_NOISE if options.polish or options.warm_start else config.largest_noise,
+        held_noise=options.noise,
         warm_start=options.warm_start,
         warm_up=options.warm_up,
         symmetric=options.without != "symmetry",

@@ -28,7 +28,8 @@ from lerobot_demohlm.teleop.clutch import Clutch, Controls
 from lerobot_demohlm.teleop.operator import Operator, OperatorPoses
 from lerobot_demohlm.teleop.record import script_of
 from lerobot_demohlm.teleop.recorder import solve
-from lerobot_demohlm.teleop.session import ENGAGED, IDLE, SessionError, Status
+from lerobot_demohlm.teleop.session import SessionError
+from lerobot_demohlm.teleop.status import ENGAGED, IDLE, Status
 from lerobot_demohlm.teleop.web.server import TeleopServer
 
 

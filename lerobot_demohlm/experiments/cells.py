@@ -5,7 +5,7 @@ import math
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ import torch
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
@@ -148,11 +149,18 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | No
         successes=sum(rollout.success_held for rollout in rollouts),
         successes_end=sum(rollout.success_end for rollout in rollouts),
         successes_ever=sum(rollout.success_ever for rollout in rollouts),
+        successes_strict=_count_strict(rollouts),
         outcomes=dict(Counter(rollout.outcome for rollout in rollouts)),
         data_success_rate=read_facts(dataset)["success_rate"],
         rollouts_per_hour=round(3600 * made / elapsed) if made > 0 else None,
         **json.loads(_times_file(training).read_text()),
     )
+
+
+def _count_strict(rollouts: Sequence[Rollout]) -> int | None:
+    """Return how many succeeded strictly; None where some are from before that was judged."""
+    found = [rollout.success_strict for rollout in rollouts]
+    return None if None in found else sum(map(bool, found))
 
 
 def _times_file(training: Path) -> Path:

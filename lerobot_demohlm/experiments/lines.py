@@ -48,6 +48,7 @@ class PolicyResult(Result):
         successes: Rollouts whose success was held for one second.
         successes_end: Rollouts with success at the last step.
         successes_ever: Rollouts with success at some step.
+        successes_strict: Rollouts that succeeded strictly; None in lines from before that was judged.
         outcomes: Number of rollouts by outcome.
         data_success_rate: Share of successes in the generation of its data, in [0, 1]; None where unknown.
         rollouts_per_hour: Speed of the rollouts; None where they were read from a file.
@@ -72,6 +73,7 @@ class PolicyResult(Result):
     successes: int
     successes_end: int
     successes_ever: int
+    successes_strict: int | None = None
     outcomes: Mapping[str, int] = field(default_factory=dict)
     data_success_rate: float | None = None
     rollouts_per_hour: int | None = None
@@ -98,6 +100,7 @@ class GenerationResult(Result):
         command_noise: Scale of the noise that commands carried.
         start_spread: Factor by which the region's ranges of the robot's pose were widened.
         stance_spread: Scale of how far off the robot stood when it began to act on the object.
+        variation: How worlds differed.
         strict_successes: Attempts that succeeded strictly; None in lines from before that was judged.
     """
 
@@ -116,12 +119,18 @@ class GenerationResult(Result):
     command_noise: float = 0.0
     start_spread: float = 1.0
     stance_spread: float = 0.0
+    variation: str = "none"
+
+    @property
+    def strict_rate(self) -> float | None:
+        """Share of attempts that succeeded strictly, in [0, 1]; None where that was not judged."""
+        return None if self.strict_successes is None else self.strict_successes / self.attempts
 
     @property
     def is_plain(self) -> bool:
         """Tell whether its attempts are what tables count: nothing disturbed, one try."""
-        varied = (self.retries, self.command_noise, self.start_spread, self.stance_spread)
-        return varied == (0, 0.0, 1.0, 0.0)
+        varied = (self.retries, self.command_noise, self.start_spread, self.stance_spread, self.variation)
+        return varied == (0, 0.0, 1.0, 0.0, "none")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,8 +104,24 @@ def percent(lines: Sequence[PolicyResult] | None) -> str:
     """Return a rate with its interval, and how many trainings are behind it where it is not one."""
     if not lines:
         return "-"
-    text = interval(*rate(lines))
+    text = interval(*rate(lines)) + strictly(strict_rate(lines))
     return text if len(lines) == 1 else f"{text}, {len(lines)} seeds"
+
+
+def strict_rate(lines: Sequence[PolicyResult]) -> float | None:
+    """Return the mean rate of strict successes of one cell, in [0, 1]; None where one of its lines does not know it."""
+    rates = [line.successes_strict / line.episodes for line in lines if line.successes_strict is not None]
+    return float(np.mean(rates)) if rates and len(rates) == len(lines) else None
+
+
+def strictly(rate: float | None) -> str:
+    """Return what stands beside the rate of held successes: that of strict ones, where it was judged."""
+    return "" if rate is None else f", strict {100 * rate:.1f}"
+
+
+def generated(line: GenerationResult) -> str:
+    """Return the success rate of a line of generation with its interval, and that of strict successes."""
+    return share(line.successes, line.attempts) + strictly(line.strict_rate)
 
 
 def interval(mean: float, low: float, high: float) -> str:
@@ -188,7 +204,7 @@ def regions_table(lines: Iterable[GenerationResult]) -> str:
     rows = []
     for task, found in by_region(lines).items():
         theirs = [number(paper.GENERATION.get((task, region))) for region in REGIONS]
-        ours = [share(line.successes, line.attempts) for line in found]
+        ours = [generated(line) for line in found]
         rows.append([task + age(found[0]), *ours, *theirs])
     if not rows:
         return ""

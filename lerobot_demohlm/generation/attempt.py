@@ -283,10 +283,13 @@ class Attempts:
         """Go through the stages once, from where things are."""
         world, demonstration = attempt.world, self.demonstration
         chosen = stages.choose_placement(world, self.task, demonstration, self._segments)
+        goal = chosen.goal
+        if self.task.supports and self.task.is_scattered(self.region):
+            goal = stages.clear_stance(goal, world, self.task, demonstration, self._segments)
         off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
-        placement = replace(chosen, goal=poses.to_planar(poses.planar(*chosen.goal) @ poses.planar(*off)))
+        placement = replace(chosen, goal=poses.to_planar(poses.planar(*goal) @ poses.planar(*off)))
         attempt.placement = placement
-        yield from stages.locomotion(world, placement.goal, self.settings.locomotion)
+        yield from stages.locomotion(world, placement.goal, self.settings.walking)
         playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)
         attempt.playback, attempt.stage = playback, playback.stage
         for wanted in playback.run():

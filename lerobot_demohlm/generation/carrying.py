@@ -18,13 +18,16 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import locomotion, retarget
+from lerobot_demohlm.generation.clearance import way_around
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError
 from lerobot_demohlm.generation.stages import StageError
 from lerobot_demohlm.generation.world_view import WorldView
 
 MAX_VELOCITY = (0.35, 0.2, 0.2, 0.4)  # m/s, m/s, m/s, rad/s: forward, backward, sideways and turning with a load
-MAX_TICKS = 250
+MAX_TICKS = 350
 BACK_M = 0.35  # that the robot steps back before it turns to the goal
+_BEND_COST = 2.0  # m, rather than which the robot turns: on its way past a table it may brush against it
+_PASSING = {"max_walks": 1, "tolerance_m": 0.10, "tolerance_rad": 0.6, "settle_ticks": 0}  # where a way bends
 _SETTLED = 10  # ticks after the last step of a demonstrated walk, at which the robot stands
 
 
@@ -52,7 +55,7 @@ class Carrying:
     ) -> None:
         self.resumes = 0
         self._world, self._task, self._demonstration = world, task, demonstration
-        self._settings = replace(settings, max_velocity=MAX_VELOCITY, max_ticks=MAX_TICKS)
+        self._settings = replace(settings, max_velocity=MAX_VELOCITY, max_ticks=MAX_TICKS, straight=True)
         self._names = [entry.name for entry in task.objects]
         self._goals = [entry for entry in segments if entry.held is not None]
         goal_starts = {entry.start: entry for entry in self._goals}
@@ -71,6 +74,8 @@ class Carrying:
     def walk(self, tick: int) -> Iterator[np.ndarray]:
         """Yield velocities (3,) [m/s, m/s, rad/s] that take the base back, and then to where it stood for the goal.
 
+        It goes around both the place where the thing was taken and the goal.
+
         Raises:
             StageError: It does not get there.
         """
@@ -80,14 +85,24 @@ class Carrying:
             yield from self._velocities(poses.to_planar(behind), replace(self._settings, max_walks=1))
         T_W_Od, T_W_O = self._goal_poses(entry)
         goal = self._task.goals[str(entry.held)]
+        T_W_Rd = self._demonstration.T_world_pelvis[min(entry.start + _SETTLED, entry.stop - 1)]
+        clearance = float(norm((T_W_Od - T_W_Rd)[:2, 3]))  # as the robot stands at the goal, so it may pass
         placement = retarget.choose_placement(
             "any" if goal.any_yaw else self._task.object(goal.object).symmetry,
-            T_W_Rd=self._demonstration.T_world_pelvis[min(entry.start + _SETTLED, entry.stop - 1)],
+            T_W_Rd=T_W_Rd,
             T_W_Od=T_W_Od,
             T_W_O=T_W_O,
             T_W_R=self._world.pose("pelvis"),
+            clearance_m=clearance,
+            bend_cost=_BEND_COST,
         )
         self._turns[entry.start] = placement.symmetry
+        for obstacle in (self._world.start_pose(str(entry.held)), T_W_O):
+            here = self._world.pose("pelvis")[:2, 3]
+            bend = way_around(here, placement.goal[:2], obstacle[:2, 3], clearance)
+            if bend is not None:
+                with contextlib.suppress(OffCourseError):
+                    yield from self._velocities(np.append(bend, placement.goal[2]), replace(self._settings, **_PASSING))
         try:
             yield from self._velocities(placement.goal, self._settings)
         except OffCourseError:

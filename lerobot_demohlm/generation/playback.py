@@ -16,6 +16,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
+from lerobot_demohlm.generation.squeeze import Squeeze
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
     PRE_MANIPULATION,
@@ -89,7 +90,9 @@ class Playback:
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._base_path = BasePath(demonstration, self.settings)
-        self._carrying = Carrying(world, task, demonstration, segments, settings.locomotion)
+        self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
+        share = settings.adaptation.squeeze if settings.adapts else 0.0
+        self._squeeze = Squeeze(world, task, demonstration, share, settings.adaptation.max_squeeze_m)
         gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)
         self._closing = _by_tick([(event.tick, event.hand) for event in gripping if event.kind == "close"])
         self._switches = {entry.start for entry in segments if entry.start > 0} | {event.tick for event in gripping}
@@ -336,11 +339,12 @@ class Playback:
         )
 
     def _command(self, targets: np.ndarray, tick: int, velocity: np.ndarray | None = None) -> np.ndarray:
+        pressing = self._squeeze.tighten(targets, tick)
         solution = self.world.ik.solve(
             T_world_pelvis=self.world.pose("pelvis"),
             joint_positions=self.world.joint_positions(),
-            T_world_left=targets[0],
-            T_world_right=targets[1],
+            T_world_left=pressing[0],
+            T_world_right=pressing[1],
             previous=self.world.command(),
         )
         self.last_targets, self.tick = targets, tick

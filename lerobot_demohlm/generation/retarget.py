@@ -212,6 +212,7 @@ def choose_placement(
     T_W_O: np.ndarray,
     T_W_R: np.ndarray,
     clearance_m: float = 0.0,
+    bend_cost: float = 0.0,
     others: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> Placement:
     """Choose the symmetry that costs least walking and turning (with it the arms move least: they follow the base).
@@ -226,6 +227,7 @@ def choose_placement(
         T_W_O: (4, 4) object now.
         T_W_R: (4, 4) root now.
         clearance_m: Distance that the walk must keep from the object; a way around it costs its length.
+        bend_cost: What a way around it costs beyond its length [m].
         others: Demonstrated and present pose (4, 4) of each other object.
     """
     here = poses.to_planar(T_W_R)
@@ -237,6 +239,8 @@ def choose_placement(
         goal = base_goal(T_W_Rd, T_W_Od, T_W_O, S)
         length = walk_length(here[:2], goal[:2], T_W_O[:2, 3], clearance_m)
         cost = length + TURN_WEIGHT * abs(float(poses.wrap_angle(goal[2] - here[2])))
+        if bend_cost > 0.0 and length > float(norm(goal[:2] - here[:2])) + 1e-9:
+            cost += bend_cost
         motion = scene_motion(T_W_Od, T_W_O, S)
         cost += LAYOUT_WEIGHT * sum(float(norm((motion @ then - now)[:2, 3])) for then, now in others)
         if best is None or cost < best.cost - 1e-9:

@@ -6,7 +6,7 @@ step. So stages of many worlds run side by side in one simulation. A stage that 
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
-from lerobot_demohlm.datasets.variation import DataVariation
+from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
+from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
 from lerobot_demohlm.generation.world_view import WorldView
 
@@ -113,11 +114,30 @@ class RetreatSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AdaptationSettings:
+    """What attempts do about worlds that vary; in the plain world, which the demonstration is from, they do none of it.
+
+    Attributes:
+        squeeze: Force with which two palms press on the thing between them, as a multiple of the demonstrated one; 0
+            repeats the demonstrated motion instead.
+        max_squeeze_m: Largest distance by which that moves the target of a palm [m].
+        max_walks: Number of walks to a place before the attempt gives up.
+        accept_m: Largest distance from the goal of a walk at which a robot that stands still goes on.
+    """
+
+    squeeze: float = 2.0
+    max_squeeze_m: float = 0.04
+    max_walks: int = 6
+    accept_m: float = 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """How attempts are made; the defaults are those of ``demohlm generate``.
 
     Attributes:
         variation: How attempts differ from plain ones.
+        adaptation: What they do about worlds that vary.
         retreat: What a robot does between a stage that has failed and the next try.
         grip: How a gripper closes.
         locomotion: How the robot walks to its place.
@@ -125,10 +145,23 @@ class Settings:
     """
 
     variation: DataVariation = field(default_factory=DataVariation)
+    adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)
     playback: PlaybackSettings = field(default_factory=PlaybackSettings)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the adaptation counts: worlds vary."""
+        return self.variation.variation != PLAIN.variation
+
+    @property
+    def walking(self) -> LocomotionSettings:
+        """How the robot walks to its place here."""
+        if not self.adapts:
+            return self.locomotion
+        return replace(self.locomotion, max_walks=self.adaptation.max_walks, accept_m=self.adaptation.accept_m)
 
 
 class StageError(Exception):
@@ -173,6 +206,21 @@ def choose_placement(
         clearance_m=0.9 * distance,
         others=others,
     )
+
+
+def clear_stance(
+    goal: np.ndarray, world: WorldView, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
+) -> np.ndarray:
+    """Return a base goal (3,) that is as far from the table under the first object as the demonstrated one was."""
+    index = [entry.name for entry in task.objects].index(str(first_approach(segments).object))
+    tables = {}  # (2,) of each support, as it was demonstrated
+    for name in task.supports:
+        mocap = int(world.sim.model.body(name).mocapid[0])
+        tables[name] = demonstration.start["mocap"][0, 3 * mocap : 3 * mocap + 2]
+    p_object, p_base = demonstration.T_world_objects[0, index, :2, 3], demonstration.T_world_pelvis[0, :2, 3]
+    under = min(tables, key=lambda name: float(norm(tables[name] - p_object)))
+    distance = float(norm(tables[under] - p_base)) - TOLERANCE_M
+    return stand_clear(goal, world.pose(under)[:2, 3], distance)
 
 
 def stance(seed: int, index: int, spread: float) -> np.ndarray:

@@ -31,6 +31,10 @@ class WorldView:
         """Return the pose (4, 4) of a frame in the world."""
         return self.sim.pose(name)[self.index]
 
+    def start_pose(self, name: str) -> np.ndarray:
+        """Return the pose (4, 4) in which a tracked object began."""
+        return self.sim.start_pose(name)[self.index]
+
     def hands(self) -> np.ndarray:
         """Return the measured poses (2, 4, 4) of the palms."""
         return np.stack([self.pose(f"{side}_palm") for side in g1.SIDES])

@@ -23,7 +23,8 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.teleop.clutch import DEAD_ZONE, WALK_SPEED, Controls, HandControls
 from lerobot_demohlm.teleop.operator import Operator, OperatorPoses, SceneView
 from lerobot_demohlm.teleop.record import script_of
-from lerobot_demohlm.teleop.session import MAX_TICKS, REVIEW, RecordingSession, SessionSettings
+from lerobot_demohlm.teleop.session import MAX_TICKS, RecordingSession, SessionSettings
+from lerobot_demohlm.teleop.status import REVIEW
 from lerobot_demohlm.teleop.web import protocol
 from lerobot_demohlm.teleop.web.inputs import Inputs
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from gym_demohlm import poses
@@ -27,97 +26,30 @@ from gym_demohlm.errors import DemoHLMError, DemonstrationError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState, Task
-from gym_demohlm.timing import FPS, HOLD_STEPS
-from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
-from lerobot_demohlm.demonstrations.segmentation import contact_events, gripper_events, segment
+from gym_demohlm.timing import FPS
+from lerobot_demohlm.demonstrations.demonstration import Demonstration
+from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.teleop.clutch import Clutch, Controls
 from lerobot_demohlm.teleop.journal import Found, Journal
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 from lerobot_demohlm.teleop.recorder import Recorder, take_over
-from lerobot_demohlm.teleop.trial import Trial, TrialReport, TrialSettings
+from lerobot_demohlm.teleop.review import Review, events, judge
+from lerobot_demohlm.teleop.self_contacts import SelfContacts
+from lerobot_demohlm.teleop.status import ENGAGED, IDLE, RECORDING, REVIEW, SAVED, Status, Verdict
+from lerobot_demohlm.teleop.trial import Trial, TrialSettings
 
-IDLE, ENGAGED, RECORDING, REVIEW, SAVED = "idle", "engaged", "recording", "review", "saved"
 BUTTONS = ("record", "rewind", "save", "discard")
 REWIND_TICKS = 20  # 2 s
 MAX_TICKS = 1200  # 2 minutes: a recording ends there
 OUT_OF_REACH = 0.04  # m that a palm stays behind its target
 SEGMENTS_EVERY = 5  # ticks between looks at how the recording would be cut
-LEAD_TICKS = 3  # kept before the first motion
-SETTLED_TICKS = 10  # after walking up to an object, the recording begins once the robot has stood for so long
-MOVED_M = 0.01  # motion of a palm's target that counts
 
 _log = logging.getLogger(__name__)
 
 
 class SessionError(DemoHLMError):
     """A button that does nothing in the present state."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """What is known of a recording before it is saved.
-
-    Attributes:
-        contacts: Touches found.
-        held: Whether the task had succeeded for the last second.
-        refusal: Why it cannot be saved; empty where it can.
-        trial: How the generated attempts stand; None where none are made.
-    """
-
-    contacts: int
-    held: bool
-    refusal: str
-    trial: TrialReport | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Status:
-    """What an operator needs to know now.
-
-    Attributes:
-        state: idle, engaged, recording, review or saved.
-        paused: Whether the world stands still.
-        tick: Steps recorded.
-        engaged: Whether the left and the right palm follow a device.
-        success: Whether the task's condition holds.
-        held_s: How long it has held [s].
-        fallen: Whether the robot has fallen.
-        forces: Normal force of each contact pair [N], by ``side object``.
-        contacts: What the hands have done so far: (tick, hand, kind, object).
-        warnings: Sentences about reach, self-collision and the robot.
-        segments: As the recording would be cut: (hand, kind, start, stop, object).
-        verdict: In review; None elsewhere.
-        message: What happened last, in a sentence.
-        unfinished: Steps of a recording that a killed process left; 0 where there is none.
-    """
-
-    state: str
-    paused: bool
-    tick: int
-    engaged: tuple[bool, bool]
-    success: bool
-    held_s: float
-    fallen: bool
-    forces: dict[str, float]
-    contacts: tuple[tuple[int, str, str, str | None], ...]
-    warnings: tuple[str, ...]
-    segments: tuple[tuple[str, str, int, int, str | None], ...]
-    verdict: Verdict | None
-    message: str
-    unfinished: int
-
-
-@dataclass(kw_only=True)
-class _Review:
-    """A recording that has been stopped."""
-
-    demonstration: Demonstration | None
-    contacts: int
-    held: bool
-    refusal: str
-    trial: Trial | None = None
-    report: TrialReport | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,9 +101,9 @@ class RecordingSession:
         self.journal = Journal(self.root.with_name(f"{self.root.name}.unfinished"))
         self.state, self.message = IDLE, ""
         self._waiting = False  # after going back, until the operator takes hold
-        self._review: _Review | None = None
+        self._review: Review | None = None
         self._segments: list[Segment] = []
-        self._touching = _SelfContacts(self.sim)
+        self._touching = SelfContacts(self.sim)
         self._asked: OperatorPoses | None = None
         self._held = 0
         take_over(self.sim, self.start)
@@ -291,7 +223,7 @@ class RecordingSession:
             held_s=round(self.held_s, 1),
             fallen=bool(self.sim.fallen()[0]),
             forces=forces,
-            contacts=tuple((e.tick, e.hand, e.kind, e.object) for e in self._events()),
+            contacts=tuple((e.tick, e.hand, e.kind, e.object) for e in events(self.recorder.rows, self.task)),
             warnings=self._warnings(),
             segments=tuple((s.hand, s.kind, s.start, s.stop, s.object) for s in self._segments),
             verdict=self._verdict(),
@@ -324,8 +256,7 @@ class RecordingSession:
     def _stop(self) -> None:
         self.state, self._waiting = REVIEW, False
         self._segments = self._cut()
-        review = self._judge()
-        self._review = review
+        review = self._review = judge(self.recorder, self.task, self.settings.operator, self.start)
         if review.demonstration is not None and not review.refusal and self.settings.trial is not None:
             review.trial = Trial(
                 task=self.task,
@@ -433,15 +364,6 @@ class RecordingSession:
             self._review.trial.close()
             self._review.trial = None
 
-    def _events(self) -> list[Any]:
-        rows = self.recorder.rows
-        if not rows:
-            return []
-        found = contact_events(np.stack([row["contact_forces"] for row in rows]), self.task.contact_pairs)
-        if self.task.hands == "gripper":
-            found += gripper_events(np.stack([row["action"] for row in rows]))
-        return sorted(found, key=lambda event: (event.tick, event.hand, event.kind))
-
     def _cut(self) -> list[Segment]:
         """Return how the recording would be cut as it stands; nothing before the first touch."""
         if not self.recorder.rows:
@@ -450,40 +372,6 @@ class RecordingSession:
             return segment(self.recorder.demonstration(self.settings.operator, self.start), self.task)
         except DemonstrationError:
             return []
-
-    def _judge(self) -> _Review:
-        """Cut off what leads nowhere and say whether what remains can be saved."""
-        rows = self.recorder.rows
-        touches = [event for event in self._events() if event.kind == "touch"]
-        success = np.array([bool(row["success"]) for row in rows], dtype=bool)
-        last = last_held(success)
-        held = last is not None
-        review = _Review(demonstration=None, contacts=len(touches), held=held, refusal="")
-        if not touches:
-            review.refusal = f"a recording in which no hand touches anything with {CONTACT_FORCE_N} N or more for 0.2 s"
-        elif last is None:
-            review.refusal = "a recording that does not hold success for 1 s"
-        else:
-            first = first_row(rows, touches[0].tick)
-            if touches[0].tick >= last:
-                review.refusal = "a recording whose success comes before any touch"
-                return review
-            facts = {"cut": [first, len(rows) - last]}
-            review.demonstration = self.recorder.demonstration(
-                self.settings.operator, self._stance(first), first=first, last=last, facts=facts
-            )
-            try:
-                segment(review.demonstration, self.task)
-            except DemonstrationError as error:
-                review.refusal = str(error)
-        return review
-
-    def _stance(self, first: int) -> InitialState:
-        """Return where the robot stood before a row, with the objects' offsets of the start."""
-        position, quat_wxyz = np.split(self.recorder.rows[first]["pelvis_pose"], [3])
-        yaw = 2.0 * np.arctan2(quat_wxyz[3], quat_wxyz[0])
-        robot = [float(position[0]), float(position[1]), float(yaw)]
-        return self.start if first == 0 else self.start | {"robot": robot}
 
     def _verdict(self) -> Verdict | None:
         review = self._review
@@ -506,35 +394,6 @@ class RecordingSession:
         return tuple(found)
 
 
-class _SelfContacts:
-    """Finds parts of the robot that touch each other."""
-
-    def __init__(self, sim: Simulation) -> None:
-        self._sim, self._model = sim, sim.scene.physics
-        self._data = mujoco.MjData(self._model)
-        body = self._model.geom_bodyid
-        self._robot = self._model.body_rootid[body] == self._model.body_rootid[self._model.body("pelvis").id]
-
-    def look(self) -> list[tuple[str, str]]:
-        """Return the names of bodies that touch each other now."""
-        self._data.qpos[:] = self._sim.qpos[0]
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
-        pairs = set()
-        contacts = self._data.contact
-        for first, second in contacts.geom[contacts.dist < 0.0].tolist():
-            if self._robot[first] and self._robot[second]:
-                names = sorted(_plain(self._model.body(self._model.geom_bodyid[geom]).name) for geom in (first, second))
-                if names[0] != names[1]:
-                    pairs.add((names[0], names[1]))
-        return sorted(pairs)
-
-
-def _plain(body: str) -> str:
-    return body.removesuffix("_link").replace("_", " ")
-
-
 def _asked(action: np.ndarray, hand_targets: np.ndarray, head: np.ndarray | None) -> OperatorPoses:
     """Return what an operator had asked for, from an action (23,), targets (2, 7) and the head's (4, 4) or None."""
     lost = head is None or not np.isfinite(head).all()
@@ -550,25 +409,3 @@ def _trailing(success: list[Any]) -> int:
     """Return how many of the last steps succeeded without a break."""
     failed = np.flatnonzero(~np.array(success, dtype=bool))
     return len(success) - (int(failed[-1]) + 1 if len(failed) else 0)
-
-
-def last_held(success: np.ndarray) -> int | None:
-    """Return the last row behind ten (1 s) that all succeeded, of (T,) bool; None where there are none."""
-    sums = np.convolve(success.astype(np.int64), np.ones(HOLD_STEPS, dtype=np.int64), "valid")
-    held = np.flatnonzero(sums == HOLD_STEPS)
-    return int(held[-1]) + HOLD_STEPS if len(held) else None
-
-
-def first_row(rows: list[dict[str, Any]], first_touch: int) -> int:
-    """Return the row with which a demonstration begins: after a walk up to the object, and just before hands move.
-
-    Args:
-        rows: Of the recording.
-        first_touch: Tick of the first touch.
-    """
-    velocity = np.array([row["action"][command.VELOCITY] for row in rows[:first_touch]]).reshape(-1, 3)
-    walked = np.flatnonzero(np.abs(velocity).max(axis=1, initial=0.0) > 0.0)
-    first = 0 if len(walked) == 0 else min(int(walked[-1]) + 1 + SETTLED_TICKS, first_touch)
-    targets = np.stack([row["hand_targets"][:, :3] for row in rows[first : first_touch + 1]])
-    moved = np.flatnonzero(np.linalg.norm(targets - targets[0], axis=2).max(axis=1) > MOVED_M)
-    return first + max(0, int(moved[0]) - LEAD_TICKS) if len(moved) else first

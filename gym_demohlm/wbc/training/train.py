@@ -199,8 +199,7 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dic
     with torch.inference_mode():
         for model in (runner.alg.actor, runner.alg.critic):
             cast(MirrorModel, model).renew_normalization()
-        largest = torch.from_numpy(np.log(config.largest_noise * _QUIET_JOINTS)).to(_log_noise(runner))
-        _log_noise(runner).clamp_(_SMALLEST_LOG_NOISE).clamp_(max=largest)
+        _bound_noise(_log_noise(runner), config)
     tracking = {f"error/{name}": value for name, value in env.mdp.tracking.items()}
     terms = {f"reward/{name}": value for name, value in env.mdp.terms.items()}
     return {
@@ -213,6 +212,16 @@ def _iterate(runner: OnPolicyRunner, env: MdpVecEnv, config: TrainConfig) -> dic
         **tracking,
         **terms,
     }
+
+
+def _bound_noise(log_noise: torch.Tensor, config: TrainConfig) -> None:
+    """Keep the logarithms (15,) of the standard deviations where the configuration wants them."""
+    held = config.held_noise
+    largest = torch.from_numpy(np.log((held or config.largest_noise) * _QUIET_JOINTS)).to(log_noise)
+    if held is None:
+        log_noise.clamp_(_SMALLEST_LOG_NOISE).clamp_(max=largest)
+    else:
+        log_noise.copy_(largest)
 
 
 def _log_noise(runner: OnPolicyRunner) -> torch.Tensor:

@@ -30,6 +30,7 @@ class TrainConfig:
         polish: Learn slowly and explore little, for the last part: the mean action, which is what runs on the robot,
             gets steadier.
         largest_noise: Bound of the actions' standard deviation.
+        held_noise: Their standard deviation instead of a learned one. Half of both in the hip-yaw joints.
         symmetric: Whether actor and critic are mirror-symmetric.
         curriculum: Whether commands and pushes start easy.
         warm_start: Exported weights that the actor starts from, with the whole range, exploring little.
@@ -53,6 +54,7 @@ class TrainConfig:
     hidden_sizes: tuple[int, ...] = (256, 128, 64)
     polish: bool = False
     largest_noise: float = 1.0
+    held_noise: float | None = None
     symmetric: bool = True
     curriculum: bool = True
     warm_start: Path | None = None
@@ -62,11 +64,13 @@ class TrainConfig:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        """Check the device.
+        """Check the device and the noise.
 
         Raises:
-            SceneError: Several processes with a GPU.
+            SceneError: Several processes with a GPU, or a held noise that is not positive.
         """
+        if self.held_noise is not None and not self.held_noise > 0:
+            raise SceneError(f"a noise of {self.held_noise}", "a positive standard deviation", "pass --noise 0.2")
         if self.device != "cpu" and self.num_processes != 1:
             got = f"{self.num_processes} processes with device {self.device!r}"
             raise SceneError(got, "one process, whose worlds are stepped together", "leave out --num-processes")

@@ -139,7 +139,8 @@ class _Recorder:
     def on_step(self, sim: Simulation) -> None:
         """Take down what is measured."""
         self.snapshots.append(sim.snapshot())
-        for name in ("pelvis", "torso", *_HAND_FRAMES, *(entry.name for entry in sim.task.objects), *sim.task.supports):
+        objects = (entry.name for entry in sim.task.objects)
+        for name in dict.fromkeys(("pelvis", "torso", *_HAND_FRAMES, *objects, *sim.task.supports)):
             self.frames.setdefault(name, []).append(sim.pose(name)[0])
         self.grippers.append(sim.gripper_positions[0])
 

@@ -10,7 +10,7 @@ from gym_demohlm.task import InitialState
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-START: InitialState = {"robot": [-0.02, 0.0, 0.0], "object": [0.0, 0.0, 0.0]}
+START: InitialState = {"robot": [-0.02, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: 0.39 m before bottle and bowl."""
 
 GRIP_HEIGHT = -0.01  # m above the bottle's middle

@@ -15,7 +15,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.teleop.clutch import Controls, HandControls
-from lerobot_demohlm.teleop.session import Status
+from lerobot_demohlm.teleop.status import Status
 
 VERSION = 1
 MAX_MESSAGE = 16_384  # bytes

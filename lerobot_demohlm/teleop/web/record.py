@@ -10,7 +10,8 @@ import numpy as np
 from gym_demohlm.errors import DemonstrationError, UnknownNameError
 from gym_demohlm.task import InitialState, Task
 from lerobot_demohlm.teleop.record import script_of
-from lerobot_demohlm.teleop.session import SAVED, RecordingSession, SessionSettings
+from lerobot_demohlm.teleop.session import RecordingSession, SessionSettings
+from lerobot_demohlm.teleop.status import SAVED
 from lerobot_demohlm.teleop.trial import TrialSettings
 from lerobot_demohlm.teleop.web.server import TeleopServer
 

@@ -1,6 +1,7 @@
 """A compiled model -> triangles light enough for a headset: one list of vertices and indices, one entry a geom.
 
 What is sent is what is seen: meshes with their vertices clustered, primitives as triangles, each in its body's frame.
+Meshes come twice, fine and coarse: a browser that draws in software shows the coarse ones.
 """
 
 import json
@@ -14,6 +15,7 @@ from gym_demohlm.task import Task
 
 SHOWN_GROUPS = 3  # geoms of groups 0, 1 and 2 are seen; the others only collide
 CELLS = 14  # cells along a mesh's longest side in which vertices are merged
+COARSE_CELLS = 5  # the same where every triangle costs
 FINEST_M = 0.006  # smallest cell
 ROUND = 20  # sides of a circle
 HEAD_BODIES = ("neck_yaw_link", "neck_pitch_link")
@@ -27,53 +29,79 @@ class ScenePackage:
     """What a page needs to draw a task.
 
     Attributes:
-        description: JSON: bodies' names, and of each geom body, colour, first index, number of indices.
+        description: JSON: bodies' names, and of each geom body, colour, first index, number of indices; of a mesh
+            also those of its coarse form.
         buffers: Vertices (V, 6) float32, position and normal, then indices (I,) uint32.
         geoms: Model ids of the geoms, in the order of the description.
-        num_triangles: In all.
+        num_triangles: Of the fine forms.
+        num_coarse: With meshes in their coarse form.
     """
 
     description: str
     buffers: bytes
     geoms: tuple[int, ...]
     num_triangles: int
+    num_coarse: int
 
 
 def package(model: mujoco.MjModel, task: Task) -> ScenePackage:
     """Return the geoms of a compiled model as a page draws them."""
-    vertices, indices, entries, geoms = [], [], [], []
-    first_vertex = first_index = 0
+    surfaces, entries, geoms = _Surfaces(), [], []
+    num_triangles = num_coarse = 0
     for geom in range(model.ngeom):
         rgba = geom_rgba(model, geom)
         unseen = rgba[3] == 0.0 and task.memory is None
         if model.geom_group[geom] >= SHOWN_GROUPS or unseen or model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
-        points, normals, faces = triangles(model, geom)
         T_body_geom = poses.pose(model.geom_pos[geom], model.geom_quat[geom])
-        points, normals = poses.transform(T_body_geom, points), normals @ T_body_geom[:3, :3].T
-        vertices.append(np.concatenate([points, normals], axis=1))
-        indices.append(faces.reshape(-1) + first_vertex)
-        entries.append(
-            {
-                "body": int(model.geom_bodyid[geom]),
-                "rgba": [round(float(value), 3) for value in rgba],
-                "first": first_index,
-                "count": int(faces.size),
-            }
-        )
+        fine = coarse = surfaces.add(triangles(model, geom), T_body_geom)
+        entry = {"body": int(model.geom_bodyid[geom]), "rgba": [round(float(value), 3) for value in rgba], **fine}
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            coarse = entry["coarse"] = surfaces.add(triangles(model, geom, COARSE_CELLS), T_body_geom)
+        entries.append(entry)
         geoms.append(geom)
-        first_vertex, first_index = first_vertex + len(points), first_index + faces.size
+        num_triangles += fine["count"] // 3
+        num_coarse += coarse["count"] // 3
     description = {
         "bodies": [model.body(index).name for index in range(model.nbody)],
         "head": [index for index in range(model.nbody) if model.body(index).name in HEAD_BODIES],
         "geoms": entries,
-        "vertices": first_vertex,
-        "indices": first_index,
+        "vertices": surfaces.num_vertices,
+        "indices": surfaces.num_indices,
     }
-    buffers = np.concatenate(vertices).astype("<f4").tobytes() + np.concatenate(indices).astype("<u4").tobytes()
     return ScenePackage(
-        description=json.dumps(description), buffers=buffers, geoms=tuple(geoms), num_triangles=first_index // 3
+        description=json.dumps(description),
+        buffers=surfaces.buffers(),
+        geoms=tuple(geoms),
+        num_triangles=num_triangles,
+        num_coarse=num_coarse,
     )
+
+
+class _Surfaces:
+    """Triangles of many geoms, in one list of vertices and one of indices."""
+
+    def __init__(self) -> None:
+        self._vertices: list[np.ndarray] = []
+        self._indices: list[np.ndarray] = []
+        self.num_vertices = 0
+        self.num_indices = 0
+
+    def add(self, surface: Triangles, T_body_geom: np.ndarray) -> dict[str, int]:
+        """Append a surface in its geom's frame; returns its first index and the number of its indices."""
+        points, normals, faces = surface
+        points, normals = poses.transform(T_body_geom, points), normals @ T_body_geom[:3, :3].T
+        self._vertices.append(np.concatenate([points, normals], axis=1))
+        self._indices.append(faces.reshape(-1) + self.num_vertices)
+        part = {"first": self.num_indices, "count": int(faces.size)}
+        self.num_vertices += len(points)
+        self.num_indices += faces.size
+        return part
+
+    def buffers(self) -> bytes:
+        """Return vertices (V, 6) float32, then indices (I,) uint32, both little-endian."""
+        vertices, indices = np.concatenate(self._vertices), np.concatenate(self._indices)
+        return vertices.astype("<f4").tobytes() + indices.astype("<u4").tobytes()
 
 
 def geom_rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -82,12 +110,12 @@ def geom_rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return model.mat_rgba[material].copy() if material >= 0 else model.geom_rgba[geom].copy()
 
 
-def triangles(model: mujoco.MjModel, geom: int) -> Triangles:
-    """Return the surface of a geom, in the geom's frame."""
+def triangles(model: mujoco.MjModel, geom: int, cells: int = CELLS) -> Triangles:
+    """Return the surface of a geom, in the geom's frame; a mesh with so many cells along its longest side."""
     size = model.geom_size[geom]
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        return _mesh(model, int(model.geom_dataid[geom]))
+        return _mesh(model, int(model.geom_dataid[geom]), cells)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _box(size)
     angle = np.linspace(-np.pi / 2, np.pi / 2, ROUND // 2 + 1)
@@ -138,7 +166,7 @@ def _turned(profile: np.ndarray, slopes: np.ndarray) -> Triangles:
     return swept(profile), swept(slopes), faces
 
 
-def _mesh(model: mujoco.MjModel, mesh: int) -> Triangles:
+def _mesh(model: mujoco.MjModel, mesh: int, cells: int) -> Triangles:
     """Return a mesh with the vertices in each cell of a grid merged into their mean, and what collapsed left out."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     points = model.mesh_vert[first : first + count].astype(np.float64)
@@ -149,7 +177,7 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> Triangles:
     normals = np.zeros_like(points)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], across)
-    cell = max(FINEST_M, float(np.ptp(points, axis=0).max()) / CELLS)
+    cell = max(FINEST_M, float(np.ptp(points, axis=0).max()) / cells)
     keys = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     # A thin wall has two sides in one cell: vertices whose normals point apart are not merged.
     keys = np.concatenate([keys, np.argmax(np.concatenate([normals, -normals], axis=1), axis=1)[:, None]], axis=1)

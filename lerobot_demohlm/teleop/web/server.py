@@ -29,7 +29,7 @@ from lerobot_demohlm.demonstrations.demonstration import pose_numbers
 from lerobot_demohlm.teleop.clutch import Controls
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.realtime import RealTimeWorld, body_poses
-from lerobot_demohlm.teleop.session import SAVED, Status
+from lerobot_demohlm.teleop.status import SAVED, Status
 from lerobot_demohlm.teleop.web import protocol, scene
 from lerobot_demohlm.teleop.web.certificate import make_context
 from lerobot_demohlm.teleop.web.inputs import Inputs

@@ -93,6 +93,19 @@ def test_a_first_evaluation_finds_weights(tmp_path: Path, monkeypatch: pytest.Mo
     assert [json.loads(line)["deployment/iteration"] for line in lines] == [1, 2]
 
 
+def test_exploration_can_be_held(tmp_path: Path) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
+
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, num_processes=1, level_every=1, held_noise=0.2, max_steps=2 * 24 * 8)
+    train.train(tmp_path / "run", config, hours=1.0)
+    lines = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert [line["noise"] for line in lines] == pytest.approx([0.2 * 14 / 15] * 2, abs=1e-4)  # half in two of 15 joints
+    with pytest.raises(train.SceneError, match="noise"):
+        replace(config, held_noise=0.0)
+
+
 @pytest.mark.slow
 def test_it_keeps_the_promised_errors() -> None:
     found = benchmark.benchmark(num_worlds=64, seconds=20.0, seed=3)

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command
+from gym_demohlm.envs import observation
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.worlds import Worlds
-from gym_demohlm.task import Predicate, Task
+from gym_demohlm.task import ObjectSpec, Predicate, Task
 from gym_demohlm.tasks.lift_box import BOX_SIZE
 from lerobot_demohlm import cli
-from lerobot_demohlm.checks.lint import MAX_IMPACT_DEPTH, Settings, format_table, lint
+from lerobot_demohlm.checks.lint import LEAST_CHANGE, MAX_IMPACT_DEPTH, Settings, format_table, lint
 from lerobot_demohlm.checks.overlaps import OverlapWatch
 from lerobot_demohlm.demonstrations.demonstration import load
 from lerobot_demohlm.experiments import lines, readme_tables
@@ -142,6 +143,29 @@ def test_a_constant_observation_is_caught() -> None:
     nose = dataclasses.replace(base.objects[0], name="nose", position=(0.0, 0.0, 0.0), placed=False, symmetry=(0.0,))
     task = dataclasses.replace(base, build=build, objects=(*base.objects, nose))
     assert failed(task) == {"observation changes"}
+
+
+def test_an_upright_round_object_has_one_number_that_is_zero_by_definition() -> None:
+    """Its x axis is reported where the camera heads, so its y axis is across; another number may not be constant."""
+    base = get_task("LiftBox")
+
+    def build(spec: mujoco.MjSpec) -> None:
+        base.build(spec)
+        spec.worldbody.add_body(name="post", mocap=True)
+
+    post = ObjectSpec(name="post", position=(0.5, 0.3, 0.2), symmetry="any")
+    task = dataclasses.replace(base, build=build, objects=(*base.objects, post))
+    assert failed(task) == set()
+    sim = Simulation(task)
+    generator = np.random.default_rng(0)
+    seen = []
+    for _ in range(10):
+        sim.step(generator.uniform(command.LOWER, command.UPPER)[None])
+        seen.append(observation.environment_state(sim)[0])
+    sim.close()
+    names = observation.environment_names(task)
+    constant = {name for name, change in zip(names, np.ptp(seen, axis=0), strict=True) if change < LEAST_CHANGE}
+    assert constant == {"post_r12.pos"}
 
 
 @pytest.mark.parametrize("name", ["num_resets", "num_still", "num_episodes"])

@@ -1,19 +1,21 @@
 """The leaderboard: fixed starts, a result that shows when it was edited, and a card."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gym_demohlm.errors import DatasetError
-from gym_demohlm.registry import all_tasks
+from gym_demohlm.registry import all_tasks, get_task, register_task
 from gym_demohlm.task import SCORING_SEEDS
 from lerobot_demohlm import quickstart
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.evaluation import leaderboard
-from lerobot_demohlm.evaluation.evaluate import FIRST_SEED
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
 from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, first_seed, read, sign
+from tests.helpers.checkpoints import save_policy
 
 
 def result(**changes: Any) -> dict[str, Any]:
@@ -84,3 +86,30 @@ def test_a_result_is_not_written_over(tmp_path: Path) -> None:
     written(tmp_path / "result.json", result())
     with pytest.raises(DatasetError, match="which exists"):
         leaderboard.run(None, "LiftBox", tmp_path)  # pyright: ignore[reportArgumentType]  it is not looked at
+
+
+def test_a_trial_goes_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four settings are rolled out, signed and checked; a call that was killed before the result ends in the same."""
+    patience = replace(
+        get_task("LiftBox"), name="Patience", episode_length_s=1.5, success=lambda sim: sim.time > 0.3, failures={}
+    )
+    register_task(patience)
+    policy, output = save_policy(tmp_path / "policy"), tmp_path / "board"
+    call = ["leaderboard", "--policy", str(policy), "--task", "Patience", "--trial", "2", "--output", str(output)]
+    assert main(call) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (printed["score"], printed["official"]) == (1.0, False)  # who stands still succeeds, strictly too
+    found = read(output / "result.json")
+    assert [(cell["region"], cell["variation"]) for cell in found["cells"]] == list(PROTOCOL.cells)
+    assert all(cell["episodes"] == cell["successes"] == 2 for cell in found["cells"])
+    for cell in found["cells"]:
+        path = output / f"rollouts_{cell['region'].lower()}_{cell['variation']}.jsonl"
+        seeds = [rollout.seed for rollout in read_rollouts(path)]
+        assert seeds == [first_seed("Patience", cell["region"]), first_seed("Patience", cell["region"]) + 1]
+    assert "A trial" in (output / "README.md").read_text()
+    assert main(["leaderboard", "--check", str(output / "result.json")]) == 0
+    assert main(call) == 2 and "which exists" in capsys.readouterr().err
+    (output / "result.json").unlink()
+    with (output / "rollouts_r4_real.jsonl").open("r+") as file:
+        file.truncate(len(file.readline()))  # as if killed between the last two rollouts
+    assert main(call) == 0 and read(output / "result.json")["cells"] == found["cells"]

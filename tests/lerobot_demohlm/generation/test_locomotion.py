@@ -1,5 +1,7 @@
 """The walking controller, on a body that obeys it with a lag and sways as it walks, comes to stand at its goal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,17 @@ def test_the_command_is_in_the_heading_frame() -> None:
             walk_velocity(here, velocity, goal, SETTINGS),
             atol=1e-9,
         )
+
+
+def test_limits_bend_the_way_unless_it_is_to_be_straight() -> None:
+    """A goal far ahead and aside: with limits a axis the base goes sideways as fast as ahead."""
+    here, goal = np.zeros(3), np.array([3.0, 1.0, 0.0])
+    bent = walk_velocity(here, np.zeros(3), goal, replace(SETTINGS, standoff=0.0))
+    straight = walk_velocity(here, np.zeros(3), goal, replace(SETTINGS, standoff=0.0, straight=True))
+    assert bent[:2] == pytest.approx([0.45, 0.25])
+    assert straight[:2] == pytest.approx([0.45, 0.15])
+    slow = np.array([0.1, 0.05, 0.0])
+    assert walk_velocity(here, np.zeros(3), slow, replace(SETTINGS, straight=True))[:2] == pytest.approx([0.12, 0.06])
 
 
 def test_sway_is_averaged_out() -> None:

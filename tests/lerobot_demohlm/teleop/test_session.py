@@ -18,13 +18,8 @@ from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.teleop.clutch import Controls, HandControls
 from lerobot_demohlm.teleop.operator import OperatorPoses
 from lerobot_demohlm.teleop.record import script_of
-from lerobot_demohlm.teleop.session import (
-    REWIND_TICKS,
-    RecordingSession,
-    SessionError,
-    SessionSettings,
-    last_held,
-)
+from lerobot_demohlm.teleop.review import last_held
+from lerobot_demohlm.teleop.session import REWIND_TICKS, RecordingSession, SessionError, SessionSettings
 from lerobot_demohlm.teleop.trial import TrialReport, TrialSettings
 
 TASK = get_task("LiftBox")

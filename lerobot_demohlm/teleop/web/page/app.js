@@ -122,7 +122,7 @@ function render(s) {
   if (review) verdict(s);
   const panel = [$("status").textContent + (s.success ? " · success" : ""), words(s), ...s.warnings];
   if (review && s.verdict && s.verdict.trial) panel.splice(1, 0, $("trial-words").textContent);
-  scene.say(panel);
+  if (app.session) scene.say(panel);
   const column = DEVICE_COLUMNS[controls.device] || 4;
   if (app.column !== column) { app.column = column; actions(column); }
 }
@@ -209,7 +209,8 @@ async function enter(mode) {
   });
   const { gl } = scene;
   if (gl.makeXRCompatible) await gl.makeXRCompatible();
-  session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl) });
+  const quality = scene.coarse ? { antialias: false, framebufferScaleFactor: 0.5 } : {};
+  session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl, quality) });
   const space = await session.requestReferenceSpace("local-floor").catch(() => session.requestReferenceSpace("local"));
   app.session = session;
   scene.home = null;

@@ -87,10 +87,19 @@ function program(gl, vertex, fragment) {
   return { made, uniforms };
 }
 
+function drawnInSoftware() {  // there a triangle costs a thousand times as much
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  const found = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : gl ? gl.getParameter(gl.RENDERER) : "";
+  if (gl && gl.getExtension("WEBGL_lose_context")) gl.getExtension("WEBGL_lose_context").loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(found);
+}
+
 export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
-    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, xrCompatible: true });
+    this.coarse = drawnInSoftware();  // coarse meshes, smaller pictures, hard edges
+    this.gl = canvas.getContext("webgl2", { antialias: !this.coarse, alpha: false, xrCompatible: true });
     if (!this.gl) throw new Error("this browser has no WebGL 2");
     const gl = this.gl;
     this.shader = program(gl, VERTEX, FRAGMENT);
@@ -258,8 +267,9 @@ export class Scene {
     geoms.forEach((geom, i) => {
       const rgba = this.colors[i] || geom.rgba;
       if (rgba[3] === 0 || hidden.has(geom.body)) return;
-      if (rgba[3] < 1) glassy.push([geom, rgba]);
-      else paint(geom, matrices[geom.body], rgba);
+      const part = this.coarse && geom.coarse ? geom.coarse : geom;
+      if (rgba[3] < 1) glassy.push([part, matrices[geom.body], rgba]);
+      else paint(part, matrices[geom.body], rgba);
     });
     for (const side of [0, 1]) {
       const matrix = poseMatrix(this.bodies, 7 * (this.description.bodies.length + side));
@@ -267,7 +277,7 @@ export class Scene {
     }
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-    for (const [geom, rgba] of glassy) paint(geom, matrices[geom.body], rgba);
+    for (const [part, matrix, rgba] of glassy) paint(part, matrix, rgba);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(null);
   }
