@@ -20,6 +20,10 @@ NOT_RUN = {
 }
 """Pages whose bash blocks no test runs, and why; their flags are checked all the same."""
 NEEDED = {
+    "benchmark.md": "demohlm generate --task LiftBox --num-attempts 3 --root data/lift_box\n"
+    "demohlm train --root data/lift_box --output outputs/lift_box\n",
+    "variation.md": "demohlm generate --task GraspCube --num-attempts 3 --root data/grasp_cube\n"
+    "demohlm train --root data/grasp_cube --output outputs/grasp_cube\n",
     "policies.md": "demohlm generate --task LiftBox --num-attempts 3 --root data/lift_box\n"
     "demohlm generate --task GraspCube --num-attempts 3 --root data/grasp_cube\n",
 }

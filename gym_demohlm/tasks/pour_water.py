@@ -2,7 +2,8 @@
 
 Source: the paper's "Task Settings" and "Success Conditions". Changed: the paper compares the bottle with itself; here
 the bottle must be near the bowl, seen from above, and most of the water (small spheres) must be in the bowl. Bottle and
-bowl are round, so the region's yaw makes no difference; the table and both vessels move with its y and z offsets.
+bowl are round, so the region's yaw makes no difference; the table and both vessels move with its y and z offsets. In
+R4 each of the two is also placed by itself.
 """
 
 import math
@@ -15,7 +16,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.robot.g1 import WORLD_BIT
 from gym_demohlm.scene.furniture import LIQUID_BIT, UNYIELDING, add_picture, add_shape, add_table, add_vessel
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import Goal, ObjectSpec, Spread, Task
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
@@ -93,5 +94,10 @@ TASK = Task(
     contact_pairs=(("right", "bottle"),),
     motion_frame="scene",
     riders={"bottle": DROPS},
+    spreads={
+        "bottle": Spread(x=(-0.04, 0.06), y=(-0.08, 0.03)),
+        "bowl": Spread(x=(-0.03, 0.06), y=(-0.03, 0.08)),
+    },
+    goals={"bottle": Goal(object="bowl", any_yaw=True)},
     episode_length_s=45.0,
 )

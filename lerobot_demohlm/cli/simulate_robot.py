@@ -25,6 +25,7 @@ class Options:
         own_controller: Name of the robot's own controller that runs at first, for a rehearsal of releasing it.
         gantry_s: Time for which its joints must be held before the gantry lets go [s].
         controller: Name, path or hash of the controller whose physics the robot has.
+        variation: How each start's robot differs in strength, masses and friction, such as real:robot.
         num_episodes: Starts after which it ends; 0 for never.
     """
 
@@ -39,6 +40,7 @@ class Options:
     own_controller: Annotated[str | None, default("none")] = None
     gantry_s: float = 3.5
     controller: str = "default"
+    variation: str = "none"
     num_episodes: int = 0
 
 
@@ -59,6 +61,7 @@ def run(options: Options) -> None:
         own_controller=options.own_controller or "",
         gantry_s=options.gantry_s,
         controller=options.controller,
+        variation=options.variation,
         episodes=options.num_episodes,
     )
     print(json.dumps({"event": "end", **run(settings)}))

@@ -285,6 +285,12 @@ VERBS = (
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
+        name="benchmark robustness",
+        group="benchmarks",
+        help="measure a policy's success in worlds that vary, one group of factors at a time, at three strengths",
+        example="demohlm benchmark robustness --policy outputs/act/checkpoints/last/pretrained_model --task LiftBox",
+    ),
+    Verb(
         name="benchmark variation",
         group="benchmarks",
         help="probe what generation makes of worlds that vary, one group of factors at a time",

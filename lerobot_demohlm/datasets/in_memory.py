@@ -1,7 +1,8 @@
-"""A generated dataset without images -> LeRobot's own samples from memory, a batch by one indexing operation a column.
+"""A generated dataset -> LeRobot's own samples from memory, a batch by one indexing operation a column.
 
 LeRobot reads a sample with a chunk of 20 actions in milliseconds, so a batch of 512 takes many times a training step
-of the MLP. Here the columns are tensors, and torch's loader gets a batch that is stacked already.
+of the MLP. Here the columns are tensors, and torch's loader gets a batch that is stacked already. Pictures are held
+where they fit (``held_pictures.py``).
 
 ``install`` makes ``lerobot-train`` open such datasets this way, and makes their batches in its own process. LeRobot's
 plugin mechanism calls it. LeRobot starts four loading processes by default, which import everything before the first
@@ -23,6 +24,7 @@ from lerobot.datasets.compute_stats import get_feature_stats
 from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
+from lerobot_demohlm.datasets.held_pictures import HeldPictures, fit_in_memory
 from lerobot_demohlm.datasets.origin import is_generated
 from lerobot_demohlm.datasets.writer import to_numpy
 
@@ -69,7 +71,7 @@ default_collate_fn_map[Sample] = _stack  # torch's way to teach its loader a typ
 
 
 class InMemoryDataset(LeRobotDataset):
-    """A LeRobot dataset that holds its columns in memory, if `demohlm generate` wrote it and it has no images.
+    """A LeRobot dataset that holds its columns in memory, if `demohlm generate` wrote it and its pictures fit there.
 
     Datasets that LeRobot's tools have made of such ones are held, too.
 
@@ -81,7 +83,7 @@ class InMemoryDataset(LeRobotDataset):
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
         """Open it as ``LeRobotDataset`` does, with the same arguments."""
         super().__init__(*args, **kwargs)
-        self.is_held = is_generated(self.root) and not self.meta.camera_keys
+        self.is_held = is_generated(self.root) and fit_in_memory(self)
         if not self.is_held:
             return
         table: Any = self.hf_dataset.with_format("arrow")[:]
@@ -95,6 +97,7 @@ class InMemoryDataset(LeRobotDataset):
         )
         stops = lengths.cumsum(0)
         self._starts, self._stops = (stops - lengths)[episode], stops[episode]  # (num_frames,) of each frame's episode
+        self._pictures = HeldPictures(self, self._starts, self._stops) if self.meta.video_keys else None
         self.meta = copy.copy(self.meta)
         self.meta.stats = _floored(self._stats(columns))
 
@@ -120,9 +123,15 @@ class InMemoryDataset(LeRobotDataset):
         for key, deltas in self._deltas.items():
             wanted = rows[:, None] + deltas  # (B, num_deltas)
             batch[f"{key}_is_pad"] = (wanted < starts) | (wanted >= stops)
-            batch[key] = self._columns[key][torch.minimum(torch.maximum(wanted, starts), stops - 1)]
+            wanted = torch.minimum(torch.maximum(wanted, starts), stops - 1)
+            batch[key] = self._columns[key][wanted] if key in self._columns else self._frames(key, wanted)
+        batch |= {key: self._frames(key, rows) for key in self.meta.video_keys if key not in self._deltas}
         batch["task"] = [self._tasks[index] for index in batch["task_index"].tolist()]
         return Batch(batch)
+
+    def _frames(self, key: str, rows: torch.Tensor) -> torch.Tensor:
+        assert self._pictures is not None  # as there is such a video
+        return self._pictures.batch(key, rows)
 
     def __getitem__(self, idx: int | slice) -> Any:  # noqa: ANN401
         """Return one sample, or several for a slice."""

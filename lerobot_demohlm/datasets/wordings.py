@@ -55,6 +55,16 @@ WORDINGS: Mapping[str, tuple[str, ...]] = {
         "Take the cube with the right gripper and hand it over to the left.",
         "Move the cube from one gripper to the other.",
     ),
+    "StackCube": (
+        "Stack the red cube on the blue one.",
+        "Pick up the red cube and put it on top of the blue cube.",
+        "Take the red cube with the right gripper and set it on the blue cube.",
+    ),
+    "CarryBox": (
+        "Carry the box to the other table.",
+        "Take the box with both hands and put it down on the other table.",
+        "Lift the box between your palms, walk to the other table and set it down.",
+    ),
 }
 
 

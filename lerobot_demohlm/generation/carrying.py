@@ -24,7 +24,7 @@ from lerobot_demohlm.generation.stages import StageError
 from lerobot_demohlm.generation.world_view import WorldView
 
 MAX_VELOCITY = (0.35, 0.2, 0.2, 0.4)  # m/s, m/s, m/s, rad/s: forward, backward, sideways and turning with a load
-MAX_TICKS = 250
+MAX_TICKS = 350
 BACK_M = 0.35  # that the robot steps back before it turns to the goal
 _BEND_COST = 2.0  # m, rather than which the robot turns: on its way past a table it may brush against it
 _PASSING = {"max_walks": 1, "tolerance_m": 0.10, "tolerance_rad": 0.6, "settle_ticks": 0}  # where a way bends

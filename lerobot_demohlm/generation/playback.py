@@ -90,7 +90,7 @@ class Playback:
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._base_path = BasePath(demonstration, self.settings)
-        self._carrying = Carrying(world, task, demonstration, segments, settings.locomotion)
+        self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
         share = settings.adaptation.squeeze if settings.adapts else 0.0
         self._squeeze = Squeeze(world, task, demonstration, share, settings.adaptation.max_squeeze_m)
         gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)

@@ -63,10 +63,13 @@ class Squeeze:
 
 
 def _demonstrated_grip(task: Task, demonstration: Demonstration) -> tuple[str | None, np.ndarray]:
-    """Return the object that both palms of a demonstration press on from two sides, and at which ticks (T,) bool."""
+    """Return the object that both palms of a demonstration press on from two sides, and at which ticks (T,) bool.
+
+    Grippers hold things by their jaws; that two of them meet at a cube is no grip of the palms.
+    """
     gap = norm(demonstration.T_world_hands[:, 0, :3, 3] - demonstration.T_world_hands[:, 1, :3, 3])
     asked = norm(demonstration.T_world_targets[:, 0, :3, 3] - demonstration.T_world_targets[:, 1, :3, 3])
-    for entry in task.objects:
+    for entry in task.objects if task.hands == "rubber" else ():
         pairs = [(side, entry.name) for side in g1.SIDES]
         if all(pair in task.contact_pairs for pair in pairs):
             forces = demonstration.contact_forces[:, [task.contact_pairs.index(pair) for pair in pairs]]

@@ -122,13 +122,13 @@ class AdaptationSettings:
             repeats the demonstrated motion instead.
         max_squeeze_m: Largest distance by which that moves the target of a palm [m].
         max_walks: Number of walks to a place before the attempt gives up.
-        max_ticks: Largest number of ticks of them.
+        accept_m: Largest distance from the goal of a walk at which a robot that stands still goes on.
     """
 
     squeeze: float = 2.0
     max_squeeze_m: float = 0.04
-    max_walks: int = 7
-    max_ticks: int = 240
+    max_walks: int = 6
+    accept_m: float = 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +159,9 @@ class Settings:
     @property
     def walking(self) -> LocomotionSettings:
         """How the robot walks to its place here."""
-        more = {"max_walks": self.adaptation.max_walks, "max_ticks": self.adaptation.max_ticks}
-        return replace(self.locomotion, **more) if self.adapts else self.locomotion
+        if not self.adapts:
+            return self.locomotion
+        return replace(self.locomotion, max_walks=self.adaptation.max_walks, accept_m=self.adaptation.accept_m)
 
 
 class StageError(Exception):

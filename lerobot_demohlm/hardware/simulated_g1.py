@@ -30,12 +30,15 @@ from gym_demohlm.simulation.judge import Judge, outcome
 from gym_demohlm.simulation.worlds import STATE_SPEC
 from gym_demohlm.task import DEFAULT_REGION, InitialState
 from gym_demohlm.timing import PHYSICS_DT
+from gym_demohlm.variation import NONE, get_variation
 from lerobot_demohlm.hardware import servo_units, world_topic
+from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault, Faults, FaultyLine, FaultySensors
-from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowCmd, LowState
-from lerobot_demohlm.hardware.limits import COMMAND_TIMEOUT_S, DAMPING, Limits
+from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowState
+from lerobot_demohlm.hardware.limits import Limits
 from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, WORLD, Link
 from lerobot_demohlm.hardware.motion_switcher import MotionSwitcherService
+from lerobot_demohlm.hardware.motors import Motors
 from lerobot_demohlm.hardware.priority import CONTROL, hurry
 from lerobot_demohlm.hardware.simulated_bus import SimulatedBus
 from lerobot_demohlm.hardware.wire_watch import WireWatch
@@ -67,6 +70,12 @@ class SimulatedSettings:
         own_controller: Name of the robot's own controller that runs at first, see ``motion_switcher``.
         episodes: After which it ends; 0 for never.
         controller: Whose physics the robot has, see ``gym_demohlm.control.controllers``.
+        variation: How each episode's robot differs, see ``get_variation``; of the group ``robot`` only what its body
+            has: strength, masses and friction. Its gains are those of each command, and its sensors have ``noise``.
+
+    Raises:
+        UnknownNameError: There is no such variation.
+        RobotError: It varies something else than the robot: the eyes of a deployment know the plain world.
     """
 
     task: str
@@ -81,6 +90,14 @@ class SimulatedSettings:
     own_controller: str = ""
     episodes: int = 0
     controller: str = controllers.DEFAULT
+    variation: str = NONE.name
+
+    def __post_init__(self) -> None:
+        """Check the variation."""
+        others = [group for group in get_variation(self.variation).groups if group != "robot"]
+        if others:
+            got = f"the variation {self.variation!r} of {', '.join(others)}"
+            raise RobotError(got, "the group robot alone", "write it as real:robot")
 
 
 _NOISE_Q, _NOISE_DQ, _NOISE_GYRO = 0.0005, 0.02, 0.01
@@ -95,53 +112,6 @@ class _Remote(WholeBodyController):
     def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Return targets that nobody reads."""
         return np.zeros((1, NUM_JOINTS))
-
-
-class Motors:
-    """The PD loops in the motors, and the robot's own answer to silence.
-
-    Args:
-        timeout_s: Without a command for so long, it damps by itself [s].
-
-    Attributes:
-        command: The newest that was carried out; None before the first.
-        damped: Whether it damps by itself.
-    """
-
-    def __init__(self, timeout_s: float = COMMAND_TIMEOUT_S) -> None:
-        self._timeout_s = timeout_s
-        self.command: LowCmd | None = None
-        self._at = -np.inf
-        self.damped = True
-
-    def obey(self, message: LowCmd) -> None:
-        """Carry out a command from now on."""
-        self.command, self._at = message, time.monotonic()
-
-    @property
-    def silence_s(self) -> float:
-        """Time since the last command [s]."""
-        return time.monotonic() - self._at
-
-    @property
-    def held(self) -> bool:
-        """Whether every joint is held somewhere."""
-        return not self.damped and self.command is not None and bool((self.command.kp[:NUM_JOINTS] > 0.0).all())
-
-    def drive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Have the servos of the model do what the motors' PD does: kp (q* - q) + kd (dq* - dq) + tau."""
-        self.damped = self.silence_s > self._timeout_s
-        joints = slice(0, NUM_JOINTS)
-        if self.damped or self.command is None:
-            kp, kd, extra, target = 0.0, DAMPING, 0.0, 0.0
-        else:
-            told = self.command
-            kp, kd, target = told.kp[joints], told.kd[joints], told.q[joints]
-            extra = told.tau[joints] + told.kd[joints] * told.dq[joints]
-        model.actuator_gainprm[joints, 0] = kp
-        model.actuator_biasprm[joints, 0], model.actuator_biasprm[joints, 1] = extra, -np.asarray(kp)
-        model.actuator_biasprm[joints, 2] = -np.asarray(kd)
-        data.ctrl[joints] = target
 
 
 class SimulatedG1:
@@ -179,7 +149,12 @@ class SimulatedG1:
         self._pushed: set[Fault] = set()
         self._last_command = 0.0
         self._gaps: list[float] = []
-        self.sim = Simulation(task, controller=_Remote(1, controllers.find(settings.controller)), pool=self)
+        self.sim = Simulation(
+            task,
+            controller=_Remote(1, controllers.find(settings.controller)),
+            pool=self,
+            variation=get_variation(settings.variation),
+        )
         self._judge = Judge(self.sim)
         self._hang()
 
@@ -263,6 +238,7 @@ class SimulatedG1:
         start: InitialState = self._task.sample(
             self._settings.region, np.random.default_rng(self._settings.seed + self._episode)
         )
+        start = self.sim.vary(start)
         self.sim.reset([start])
         self._judge.reset(np.array([0]))
         qpos = self.sim.qpos[0]

@@ -30,6 +30,7 @@ ADDED = {
     "demohlm quickstart": {"--num-episodes": "3", "--steps": "4", "--num-rollouts": "2"},
     "demohlm train": {"--steps": "4"},
     "demohlm evaluate": {"--num-episodes": "2"},
+    "demohlm leaderboard": {"--trial": "1"},
     "demohlm reproduce": {
         "--tasks": "LiftBox",
         "--sizes": "3",

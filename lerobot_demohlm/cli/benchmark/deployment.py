@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+from gym_demohlm import jsonl
 from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.cli.printing import print_json
 
@@ -21,7 +22,7 @@ class Options:
         seed: Of the first start or fault.
         num_runs: Starts or faults.
         seconds: How long the link is measured [s].
-        append: Append results to this file of JSON lines.
+        append: Append results to this file of JSON lines; faults whose seeds it has already are left out.
     """
 
     part: Literal["link", "success", "faults"] = "link"
@@ -60,6 +61,12 @@ def run(options: Options) -> None:
         )
     else:
         call += f" --task {options.task} --seed {options.seed} --num-runs {options.num_runs}"
-        results = deployment.measure_faults(options.task, options.policy, seeds)
+        done = {line["seed"] for line in _lines(options.append) if line["part"] == "faults"}
+        results = deployment.measure_faults(options.task, options.policy, [seed for seed in seeds if seed not in done])
     for result in results:
         print_json(result if options.append is None else append_result(options.append, call, result))
+
+
+def _lines(path: Path | None) -> list[dict[str, Any]]:
+    """Return the results that a file holds already."""
+    return jsonl.read(path) if path is not None and path.is_file() else []

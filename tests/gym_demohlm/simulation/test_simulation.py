@@ -215,6 +215,16 @@ def test_objects_and_supports_start_where_the_state_says() -> None:
     np.testing.assert_allclose(sim.pose("box")[0, :3, 3], box[:3, 3], atol=5e-4)  # it neither falls nor jumps
 
 
+def test_a_support_that_is_tracked_too_moves_once() -> None:
+    """The other table of CarryBox is furniture and an object: it goes where objects go, with its own offset."""
+    sim = Simulation(get_task("CarryBox"), controller=HoldController(1))
+    sim.reset([{"robot": [-0.5, 0.0, 0.0], "object": [0.05, -0.12, 0.0], "goal": [0.1, 0.2, 0.0]}])
+    default = np.array(get_task("CarryBox").object("goal").position)
+    np.testing.assert_allclose(sim.pose("goal")[0, :3, 3], default + np.array([0.1, 0.25, -0.12]), atol=1e-12)
+    np.testing.assert_allclose(sim.pose("table")[0, 1:3, 3], [0.05, -0.12], atol=1e-12)
+    sim.close()
+
+
 @pytest.mark.parametrize("name", ["LiftBox", "PressCube", "PushCube", "Handover", "GraspCube", "ExchangeCube"])
 def test_no_box_lies_parallel_to_the_last_bit(name: str) -> None:
     task = get_task(name)

@@ -42,6 +42,23 @@ def test_lines_become_tables_that_say_their_age(tmp_path: Path) -> None:
     assert not readme_tables.write_results(page, tmp_path), "the same lines give the same page"
 
 
+def test_strict_successes_stand_beside_held_ones(tmp_path: Path) -> None:
+    made = GenerationResult(
+        task="LiftBox", region="R3", attempts=100, successes=93, strict_successes=91, stamp=stamp("LiftBox")
+    )
+    path = tmp_path / "generation.jsonl"
+    lines.append(path, "demohlm generate ...", made)
+    lines.append(path, "demohlm generate ...", dataclasses.replace(made, variation="real", successes=80))
+    lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", make_line(CELL, 200, successes_strict=150))
+    text = readme_tables.tables(tmp_path)
+    assert "| LiftBox | R3 | 100 | 93.0 (86.3 to 96.6), strict 91.0 |" in text
+    assert "80.0 (71.1 to 86.7), strict 91.0, in worlds that vary by real |" in text
+    assert "80.0 (74.6 to 84.5), strict 60.0" in text  # of the policy
+    cell = dataclasses.replace(CELL, num_train_episodes=1000)
+    lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", make_line(cell, 200, successes_strict=150))
+    assert "| LiftBox | 93.0, strict 91.0 | 80.0, strict 60.0 |" in readme_tables.readme_table(tmp_path)
+
+
 def test_measurements_without_a_stamp_are_of_an_earlier_version(tmp_path: Path) -> None:
     shares = {f"{name}_share": 0.2 for name in measured_tables.SHARES}
     values = {"task": "LiftBox", "region": "R3", "attempts": 8, "successes": 7, **shares}

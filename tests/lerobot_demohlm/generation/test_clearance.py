@@ -6,9 +6,33 @@ import numpy as np
 import pytest
 
 from gym_demohlm import poses
-from lerobot_demohlm.generation.clearance import stand_clear, way_around
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation
+from lerobot_demohlm.demonstrations.demonstration import load
+from lerobot_demohlm.demonstrations.segmentation import segment
+from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear, way_around
+from lerobot_demohlm.generation.stages import clear_stance
+from lerobot_demohlm.generation.world_view import WorldView
+from tests.helpers.hold import HoldController
 
 TABLE = np.array([0.4, 0.1])
+
+
+def test_the_demonstrated_distance_from_the_table_is_kept() -> None:
+    """Of the table under the first object, wherever it is now; the demonstrated place itself stays."""
+    for name in ("StackCube", "CarryBox"):
+        task, source = get_task(name), load(None, get_task(name))
+        sim = Simulation(task, controller=HoldController(1))
+        sim.reset([{"robot": [-1.0, 0.0, 0.0], "object": [0.06, -0.1, 0.0]}])
+        world = WorldView(sim=sim, index=0, ik=None)  # pyright: ignore[reportArgumentType]  nothing is reached for
+        table = sim.pose("table")[0, :2, 3]
+        stood = poses.to_planar(source.T_world_pelvis[0]) + np.array([0.0, 0.06, 0.0])  # moved as the table is
+        found = clear_stance(stood, world, task, source, segment(source, task))
+        np.testing.assert_array_equal(found, stood)
+        near = stood + np.array([0.08, 0.0, 0.0])
+        moved = clear_stance(near, world, task, source, segment(source, task))
+        assert math.dist(moved[:2], table) == pytest.approx(math.dist(stood[:2], table) - TOLERANCE_M)
+        sim.close()
 
 
 @pytest.mark.parametrize("yaw", [-0.7, 0.0, 0.4])

@@ -10,8 +10,9 @@ from lerobot_demohlm.benchmarks.teleoperation import FLAGS
 from tests.helpers.teleop import fetch_iwer, find_browser
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
+    """Return a browser; while it runs, this thread has an event loop that no other test can share."""
     path = find_browser()
     from playwright.sync_api import sync_playwright
 
