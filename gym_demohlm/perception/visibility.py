@@ -14,6 +14,7 @@ from gym_demohlm.simulation import Simulation
 
 _POINTS = 16  # of each object
 _RADIUS = 0.045  # m, of the spheres: half a hand's width
+_ROUGH = 0.01  # share of what is in the picture that is seen at least: spheres cannot tell that a hand hides all of it
 _ALONG = (0.0, 0.5, 1.0)  # of the way from palm to wrist, where the spheres are
 
 
@@ -48,7 +49,8 @@ class Visibility:
         along = np.einsum("nkpi,nsi->nkps", p, spheres) / length[..., None]
         aside = (spheres**2).sum(axis=-1)[:, None, None] - along**2  # squared distance of each sphere from each ray
         hidden = (aside < _RADIUS**2) & (along > 0.05) & (along < length[..., None] - 0.01)
-        return (seen & ~hidden.any(axis=-1)).mean(axis=-1)
+        shown = (seen & ~hidden.any(axis=-1)).mean(axis=-1)
+        return np.maximum(shown, _ROUGH * seen.mean(axis=-1))
 
     def _spheres(self, sim: Simulation, rows: np.ndarray) -> np.ndarray:
         """Return the middles (n, s, 3) of what may hide an object, in the frame ``optical``."""

@@ -13,12 +13,14 @@ import numpy as np
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import Task
 from gym_demohlm.timing import FPS
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.difference import Difference
 from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.pictures import video_file
 from lerobot_demohlm.datasets.reader import StoredEpisode
 from lerobot_demohlm.datasets.tables import read_table
+from lerobot_demohlm.datasets.variation import DataVariation
 
 DEPTH_TOLERANCE = 0.002  # m
 DEPTH_SHARE = 0.02  # of a frame's pixels that may deviate by more
@@ -45,7 +47,7 @@ class PictureCheck:
 
         self._root, self._seed = root, int(facts["seed"])
         self._facts = PictureFacts.read(facts)
-        self._painter = Painter(task, self._facts)
+        self._painter = Painter(task, self._facts, get_variation(DataVariation.read(facts).variation))
         self.recorder = StateRecorder()
 
     def compare(self, entries: Sequence[StoredEpisode]) -> list[Difference]:
@@ -64,7 +66,7 @@ class PictureCheck:
 
     def _first(self, entry: StoredEpisode, world: int) -> Difference | None:
         states = [self.recorder.state(step, world) for step in range(len(entry))]
-        drawn = self._painter.frames((self._seed, entry.attempt), states)
+        drawn = self._painter.frames((self._seed, entry.attempt), states, self.recorder.conditions(world))
         keys = [camera.key(stream) for camera in self._facts.cameras for stream in camera.streams]
         places = [f"videos/{key}/{name}" for key in keys for name in ("chunk_index", "file_index", "from_timestamp")]
         (row,) = read_table(self._root / "meta" / "episodes", ("episode_index", *places), [entry.episode]).to_pylist()

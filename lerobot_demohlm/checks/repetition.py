@@ -7,12 +7,14 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
+from gym_demohlm.perception.sight import Sight
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.judge import held
 from gym_demohlm.task import Task
 from lerobot_demohlm.checks.difference import Difference, deviation
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.reader import ACTION, ENVIRONMENT_STATE, STATE, SUCCESS, StoredEpisode
+from lerobot_demohlm.generation.eyes import open_sight, seen_objects
 from lerobot_demohlm.reproducibility import fingerprint
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 
@@ -22,6 +24,7 @@ def compare(
     episodes: Sequence[StoredEpisode],
     bounded: bool = False,
     watch: Callable[[Simulation], None] = lambda sim: None,
+    perception: str = "exact",
 ) -> list[Difference | None]:
     """Repeat episodes as worlds of one simulation, each until it ends or differs.
 
@@ -30,16 +33,34 @@ def compare(
         episodes: Of its task, with fingerprints.
         bounded: Whether to go on after a difference, and to measure the deviation of the whole episode.
         watch: Called with the simulation at the start and after every step.
+        perception: How objects were seen.
 
     Returns:
         The first difference of each, None where every bit agrees.
     """
+    sight = open_sight(sim, perception)
+    try:
+        return _compared(sim, episodes, bounded, watch, sight)
+    finally:
+        if sight is not None:
+            sight.close()
+
+
+def _compared(
+    sim: Simulation,
+    episodes: Sequence[StoredEpisode],
+    bounded: bool,
+    watch: Callable[[Simulation], None],
+    sight: Sight | None,
+) -> list[Difference | None]:
     sim.reset([entry.initial_state for entry in episodes], np.arange(len(episodes)))
     watch(sim)
+    if sight is not None:
+        sight.begin(np.arange(len(episodes)), [entry.initial_state for entry in episodes])
     before = sim.snapshot()
     checks = [_Check(sim.task, entry, world, before, bounded) for world, entry in enumerate(episodes)]
     for step in range(max(len(entry) for entry in episodes)):
-        state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
+        state, environment_state = observation.agent_pos(sim), seen_objects(sim, sight)
         for check in checks:
             check.before(step, state, environment_state)
         going = [check.world for check in checks if check.going(step)]
@@ -50,6 +71,8 @@ def compare(
         commands[going] = [episodes[world].commands[step] for world in going]
         sim.step(commands, active)
         watch(sim)
+        if sight is not None:
+            sight.look(np.array(going))
         after, success = sim.snapshot(), sim.success()
         for world in going:
             checks[world].after(step, after, success)

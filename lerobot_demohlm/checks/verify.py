@@ -36,7 +36,7 @@ from lerobot_demohlm.checks.pictures import PictureCheck
 from lerobot_demohlm.checks.repetition import compare, compare_again
 from lerobot_demohlm.datasets import origin, reader
 from lerobot_demohlm.datasets.cameras import PictureFacts
-from lerobot_demohlm.datasets.facts import installed_versions, read_facts
+from lerobot_demohlm.datasets.facts import PERCEPTION_FIT, installed_versions, perception_fit, read_facts
 from lerobot_demohlm.datasets.reader import StoredEpisode
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
@@ -119,6 +119,8 @@ def mismatches(facts: dict[str, Any], task: Task, controller: str | None = None)
         **installed_versions(),
     }
     then = {name: facts.get(f"{name}_hash") for name in ("controller", "model", "code")} | facts["versions"]
+    if facts.get(PERCEPTION_FIT):
+        now, then = now | {PERCEPTION_FIT: perception_fit(task, facts)}, then | {PERCEPTION_FIT: facts[PERCEPTION_FIT]}
     return tuple(
         f"{name} {str(then.get(name) or 'unknown')[:20]} when generated, {value[:20]} now"
         for name, value in now.items()
@@ -241,18 +243,20 @@ class _Bench:
         entries, found = reader.read(root, batch), []
         edited = [entry for entry in entries if entry.fingerprints is None]
         for facts, whole in self._by_run([entry for entry in entries if entry.fingerprints is not None]):
-            found += self._repeat(self._sim(facts), whole, bounded)
+            found += self._repeat(facts, whole, bounded)
         for facts, again in self._by_run(edited):
             found += self._generate(facts, again)
         return sorted((each for each in found if each is not None), key=lambda each: each.episode)
 
-    def _repeat(self, sim: Simulation, entries: Sequence[StoredEpisode], bounded: bool) -> list[Difference | None]:
-        """Simulate episodes again, and draw them again where the dataset has pictures."""
-        check = self._pictures
+    def _repeat(
+        self, facts: dict[str, Any], entries: Sequence[StoredEpisode], bounded: bool
+    ) -> list[Difference | None]:
+        """Simulate episodes of one run again, and draw them again where the dataset has pictures."""
+        sim, seen, check = self._sim(facts), DataVariation.read(facts).perception, self._pictures
         if check is None:
-            return compare(sim, entries, bounded)
+            return compare(sim, entries, bounded, perception=seen)
         check.recorder.clear()
-        found = compare(sim, entries, bounded, check.recorder)
+        found = compare(sim, entries, bounded, check.recorder, seen)
         if all(each is None for each in found):  # else the states are not those of the pictures
             found += check.compare(entries)
         return found

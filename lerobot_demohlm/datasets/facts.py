@@ -35,13 +35,17 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.perception.error_model import fitted_path, read_model
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation.judge import OUTCOMES
+from gym_demohlm.task import Task
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.reproducibility import provenance
 
 ROBOT_TYPE = "unitree_g1"
 FORMAT_VERSION = 1  # of meta/demohlm.json and meta/demohlm_attempts.jsonl
+PERCEPTION_FIT = "perception_fit"
 FACTS_PATH = Path("meta/demohlm.json")
 ATTEMPTS_PATH = Path("meta/demohlm_attempts.jsonl")
 _FACT_TYPES = {
@@ -89,6 +93,7 @@ class GenerationFacts:
         variation: How attempts differ from plain ones.
         pictures: What is drawn of the successful attempts; nothing by default.
         wordings: Whether episodes have the task's sentence in several wordings.
+        perception_fit: SHA-256 of the errors' model by which objects were seen; empty where none was.
         versions: Versions of what decides bits; those of this installation unless given.
         format_version: Of the files.
 
@@ -110,6 +115,7 @@ class GenerationFacts:
     variation: DataVariation
     pictures: PictureFacts = field(default_factory=PictureFacts)
     wordings: bool = False
+    perception_fit: str = ""
     versions: dict[str, str] = field(default_factory=installed_versions)
     format_version: int = FORMAT_VERSION
 
@@ -128,7 +134,7 @@ class GenerationFacts:
         content: dict[str, Any] = {}
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if entry.name == "wordings" and not value:
+            if entry.name in ("wordings", PERCEPTION_FIT) and not value:
                 continue  # as facts were before there was a choice
             flat = isinstance(value, DataVariation | PictureFacts)
             content |= value.content() if flat else {entry.name: copy.deepcopy(value)}
@@ -141,7 +147,7 @@ class GenerationFacts:
         Raises:
             DatasetError: A fact is missing.
         """
-        optional = "variation", "pictures", "wordings"
+        optional = "variation", "pictures", "wordings", PERCEPTION_FIT
         names = [entry.name for entry in fields(cls) if entry.name not in optional]
         missing = [name for name in names if name not in content]
         if missing:
@@ -151,7 +157,16 @@ class GenerationFacts:
             variation=DataVariation.read(content),
             pictures=PictureFacts.read(content),
             wordings=bool(content.get("wordings", False)),
+            perception_fit=str(content.get(PERCEPTION_FIT, "")),
         )
+
+
+def perception_fit(task: Task, facts: Mapping[str, Any]) -> str:
+    """Return the hash of the errors' model by which a run with such facts sees objects now; empty where it has none."""
+    seen = PerceptionSettings.read(DataVariation.read(facts).perception)
+    if seen.source != "model":
+        return ""
+    return read_model(Path(seen.fit) if seen.fit else fitted_path(task), task).hash
 
 
 def require_new_root(root: Path) -> None:

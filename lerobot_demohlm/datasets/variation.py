@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.variation import get_variation
 
 
@@ -27,10 +28,14 @@ class DataVariation:
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
         stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.
         variation: How worlds differ: none, real or hard, with a strength and groups as in "real@0.5:objects+pushes".
+        perception: How observations and the neck see objects: exact, model, rgbd or apriltag, with options behind
+            commas as in "rgbd,masks=color". What plans the motion sees exactly.
 
     Raises:
-        UnknownNameError: There is no such variation.
-        DatasetError: A knob is below its plain value, not finite, or not whole where it counts something.
+        UnknownNameError: There is no such variation or perception.
+        SceneError: An option of the perception is out of range.
+        DatasetError: A knob is below its plain value, not finite, or not whole where it counts something; or what is
+            seen depends on a server, so that no episode could be repeated.
     """
 
     retries: int = _knob(0, plain=0)
@@ -38,13 +43,16 @@ class DataVariation:
     start_spread: float = _knob(1.0, plain=1.0)
     stance_spread: float = _knob(0.0, plain=0.0)
     variation: str = _knob("none", plain="none")
+    perception: str = _knob("exact", plain="exact")
 
     def __post_init__(self) -> None:
         """Check the knobs."""
+        get_variation(self.variation)
+        if PerceptionSettings.read(self.perception).source == "remote":
+            raise DatasetError("generation with perception remote", "eyes that see the same again", "choose rgbd")
         for knob in fields(self):
             value, plain = getattr(self, knob.name), knob.metadata["plain"]
             if isinstance(plain, str):
-                get_variation(value)
                 continue
             if not plain <= value < math.inf or (isinstance(plain, int) and value != int(value)):
                 kind = "a whole number of " if isinstance(plain, int) else ""
@@ -58,11 +66,10 @@ class DataVariation:
         return cls(**{knob.name: facts.get(knob.name, knob.metadata["plain"]) for knob in fields(cls)})
 
     def content(self) -> dict[str, Any]:
-        """Return the knobs as facts and results keep them; those of plain worlds do not name a variation."""
-        content = asdict(self)
-        if self.variation == "none":
-            del content["variation"]
-        return content
+        """Return the knobs as facts and results keep them; those of plain worlds name no variation or perception."""
+        plain = {knob.name: knob.metadata["plain"] for knob in fields(self)}
+        named = asdict(self)
+        return {name: each for name, each in named.items() if not isinstance(each, str) or each != plain[name]}
 
 
 PLAIN = DataVariation.read({})

@@ -26,6 +26,7 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import command_noise, stages
+from lerobot_demohlm.generation.eyes import open_sight, seen_objects
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
@@ -142,11 +143,14 @@ class Attempts:
         variation = get_variation(self.settings.variation.variation)
         self._sim = sim or Simulation(task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
+        self._sight = open_sight(self._sim, self.settings.variation.perception)
         self.ik = WholeBodyIK(self._sim.model)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
 
     def close(self) -> None:
-        """Release the simulation."""
+        """Release the simulation and the eyes."""
+        if self._sight is not None:
+            self._sight.close()
         self._sim.close()
 
     def run(self, indices: Sequence[int]) -> list[Episode]:
@@ -165,6 +169,8 @@ class Attempts:
         starts = [sim.vary(start) for start in starts]
         sim.reset(starts, np.arange(len(indices)))
         self._judge.reset(np.arange(len(indices)))
+        if self._sight is not None:
+            self._sight.begin(np.arange(len(indices)), starts)
         self._on_step(sim)
         running = [
             Attempt(index=index, start=start, world=WorldView(sim=sim, index=world, ik=self.ik))
@@ -200,8 +206,10 @@ class Attempts:
                 active[world] = True
         if not active.any():
             return
-        state, environment_state = observation.agent_pos(sim), observation.environment_state(sim)
+        state, environment_state = observation.agent_pos(sim), seen_objects(sim, self._sight)
         result = sim.step(commands, active)
+        if self._sight is not None:
+            self._sight.look(np.flatnonzero(active))
         self._on_step(sim)
         self._judge.watch(result, active)
         faults, after = self._judge.faults(), sim.snapshot()

@@ -19,6 +19,7 @@ from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.variation import NONE, Conditions, Variation
 from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.cameras import CameraSpec, PictureFacts
 from lerobot_demohlm.datasets.episode import Episode
@@ -39,6 +40,7 @@ class StateRecorder:
         self._qpos: list[np.ndarray] = []
         self._mocap: list[np.ndarray] = []
         self._memory: list[np.ndarray] = []
+        self._conditions: list[Conditions] = []
 
     def __call__(self, sim: Simulation) -> None:
         """Keep the present state of all worlds."""
@@ -46,10 +48,15 @@ class StateRecorder:
         self._qpos.append(sim.qpos)
         self._mocap.append(snapshot["mocap"])
         self._memory.append(snapshot.get("memory", np.zeros((sim.num_worlds, 0))))
+        self._conditions = [sim.conditions(world) for world in range(sim.num_worlds)]
 
     def state(self, step: int, world: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return qpos (nq,), mocap (7 nmocap,) and memory of a world before an action."""
         return self._qpos[step][world], self._mocap[step][world], self._memory[step][world]
+
+    def conditions(self, world: int) -> Conditions:
+        """Return how a world differs from the plain one."""
+        return self._conditions[world]
 
 
 class Painter:
@@ -58,14 +65,15 @@ class Painter:
     Args:
         task: The task.
         facts: Which cameras, and how pictures vary.
+        variation: What differs from world to world; an episode says how.
 
     Raises:
         SceneError: This machine has nothing to draw with.
     """
 
-    def __init__(self, task: Task, facts: PictureFacts) -> None:
+    def __init__(self, task: Task, facts: PictureFacts, variation: Variation = NONE) -> None:
         self._task, self._facts = task, facts
-        self._scene = build_scene(task)
+        self._scene = build_scene(task, variation=variation)
         self._visuals = [
             VisualModel(self._scene.model, _intrinsics(self._scene.model, camera), camera=camera.name)
             for camera in facts.cameras
@@ -124,16 +132,22 @@ class Painter:
         return pictures, np.concatenate(poses.split(visual.camera_pose())).astype(np.float32)
 
     def frames(
-        self, episode_seed: tuple[int, int], states: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+        self,
+        episode_seed: tuple[int, int],
+        states: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+        conditions: Conditions | None = None,
     ) -> dict[str, np.ndarray]:
         """Return all pictures of some states and the cameras' poses by feature, to be compared with stored ones.
 
         Args:
             episode_seed: Seed of the run and index of the attempt, which its appearance is a function of.
             states: qpos, mocap and memory of each.
+            conditions: How their world differs from the plain one; not at all by default.
         """
+        shapes = self._scene.shapes(conditions or Conditions())
         found: dict[str, list[np.ndarray]] = {}
         for camera, visual in zip(self._facts.cameras, self._visuals, strict=True):
+            visual.wear(shapes)
             with self._appearance(visual, episode_seed):
                 for state in states:
                     pictures, pose = self.frame(visual, camera, state)
@@ -153,9 +167,10 @@ class Painter:
         length = len(episode.success)
         states = [recorder.state(step, world) for step in range(length)]
         self._require_same(episode, states[0][0])
+        conditions = recorder.conditions(world)
         start = next(iter(writers.values())).num_frames
         columns, stats = {}, {}
-        for key, frames in self.frames((episode.seed, episode.index), states).items():
+        for key, frames in self.frames((episode.seed, episode.index), states, conditions).items():
             if key not in writers:
                 columns[key] = frames
                 continue

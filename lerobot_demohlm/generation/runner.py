@@ -22,8 +22,9 @@ from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError, DemoHLMError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.cameras import PictureFacts
-from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions
+from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions, perception_fit
 from lerobot_demohlm.datasets.wordings import wordings
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
@@ -68,7 +69,9 @@ def generate(request: GenerationRequest) -> GenerationSummary:
     if pictures.cameras:
         from lerobot_demohlm.generation.painting import Painter  # loads a graphics library
 
-        Painter(task, pictures).close()  # fails now where there is nothing to draw with
+        Painter(
+            task, pictures, get_variation(request.variation.variation)
+        ).close()  # fails now where there is nothing to draw with
     facts = GenerationFacts(
         task=task.name,
         task_text=task.description,
@@ -84,6 +87,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         variation=request.variation,
         pictures=pictures,
         wordings=request.wordings,
+        perception_fit=perception_fit(task, request.variation.content()),
     )
     repo_id = request.repo_id or f"demohlm/{task.slug}_{request.region.lower()}"
     run = GenerationRun.open(Path(request.root), repo_id, facts, resume=request.resume)
@@ -191,7 +195,8 @@ class BlockMaker:
     def _painter(self) -> "Painter":
         from lerobot_demohlm.generation.painting import Painter
 
-        return Painter(get_task(self.facts.task), self.facts.pictures)
+        varied = get_variation(self.facts.variation.variation)
+        return Painter(get_task(self.facts.task), self.facts.pictures, varied)
 
     @functools.cached_property
     def _attempts(self) -> Attempts:
