@@ -101,6 +101,7 @@ class GenerationResult(Result):
         start_spread: Factor by which the region's ranges of the robot's pose were widened.
         stance_spread: Scale of how far off the robot stood when it began to act on the object.
         variation: How worlds differed.
+        perception: How the generator saw objects.
         strict_successes: Attempts that succeeded strictly; None in lines from before that was judged.
     """
 
@@ -120,6 +121,7 @@ class GenerationResult(Result):
     start_spread: float = 1.0
     stance_spread: float = 0.0
     variation: str = "none"
+    perception: str = "exact"
 
     @property
     def strict_rate(self) -> float | None:
@@ -129,8 +131,8 @@ class GenerationResult(Result):
     @property
     def is_plain(self) -> bool:
         """Tell whether its attempts are what tables count: nothing disturbed, one try."""
-        varied = (self.retries, self.command_noise, self.start_spread, self.stance_spread, self.variation)
-        return varied == (0, 0.0, 1.0, 0.0, "none")
+        varied = (self.retries, self.command_noise, self.start_spread, self.stance_spread)
+        return varied == (0, 0.0, 1.0, 0.0) and (self.variation, self.perception) == ("none", "exact")
 
 
 @dataclass(frozen=True, kw_only=True)

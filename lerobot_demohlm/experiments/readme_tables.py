@@ -86,6 +86,8 @@ def _generation(lines: Sequence[GenerationResult]) -> str:
             text += f", starts {line.start_spread:g} times as wide"
         if line.stance_spread:
             text += f", stances spread by {line.stance_spread:g}"
+        if line.perception != "exact":
+            text += f", seen as {line.perception}"
         if line.variation != "none":
             text += f", in worlds that vary by {line.variation}"
         rows.append(
