@@ -131,8 +131,8 @@ class GenerationResult(Result):
     @property
     def is_plain(self) -> bool:
         """Tell whether its attempts are what tables count: nothing disturbed, one try."""
-        varied = (self.retries, self.command_noise, self.start_spread, self.stance_spread)
-        return varied == (0, 0.0, 1.0, 0.0) and (self.variation, self.perception) == ("none", "exact")
+        disturbed = (self.retries, self.command_noise, self.start_spread, self.stance_spread)
+        return disturbed == (0, 0.0, 1.0, 0.0) and (self.variation, self.perception) == ("none", "exact")
 
 
 @dataclass(frozen=True, kw_only=True)

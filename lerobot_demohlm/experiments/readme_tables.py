@@ -90,6 +90,8 @@ def _generation(lines: Sequence[GenerationResult]) -> str:
             text += f", seen as {line.perception}"
         if line.variation != "none":
             text += f", in worlds that vary by {line.variation}"
+        if line.perception != "exact":
+            text += f", seen by {line.perception}"
         rows.append(
             [
                 line.task,

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -274,7 +275,10 @@ def test_the_command_prints_its_address_and_offers_what_a_kill_left(tmp_path: Pa
     command += ["--port", "0", "--trial", "0", "--root", str(root)]
 
     def start() -> tuple[subprocess.Popen[str], dict[str, str]]:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs are born deaf to it
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, preexec_fn=heeds
+        )
         assert process.stdout is not None
         return process, json.loads(process.stdout.readline())
 
