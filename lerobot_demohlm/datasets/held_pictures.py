@@ -93,6 +93,7 @@ class HeldPictures:
 
     def _decoded(self, dataset: LeRobotDataset, key: str, episode: int, stamps: Sequence[float]) -> torch.Tensor:
         """Return the frames (T, c, h, w) of an episode as they are encoded."""
+        assert dataset.meta.episodes is not None  # a dataset that is read has them
         first = dataset.meta.episodes[episode][f"videos/{key}/from_timestamp"]
         return decode_video_frames(
             dataset.root / dataset.meta.get_video_file_path(episode, key),
@@ -105,7 +106,7 @@ class HeldPictures:
 
     def _metric(self, key: str, codes: torch.Tensor) -> torch.Tensor:
         config = self._reader._depth_encoder_configs[key]
-        return dequantize_depth(
+        found = dequantize_depth(
             codes,
             depth_min=config.depth_min,
             depth_max=config.depth_max,
@@ -113,6 +114,8 @@ class HeldPictures:
             use_log=config.use_log,
             output_unit=self._reader._depth_output_unit,
         )
+        assert isinstance(found, torch.Tensor)  # as its codes are
+        return found
 
 
 def _taken(frames: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:

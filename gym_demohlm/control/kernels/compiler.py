@@ -10,7 +10,7 @@ import hashlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numba
 import numpy as np
@@ -34,9 +34,9 @@ def compiled[F: Callable[..., Any]](function: F) -> F:
     """Compile a function when it is first called; a division by zero gives infinity, as in NumPy."""
     function.__qualname__ += f"_{digest()}"
     try:
-        return numba.njit(function, cache=True, error_model="numpy", nogil=True)
+        return cast(F, numba.njit(function, cache=True, error_model="numpy", nogil=True))
     except RuntimeError:  # no place for a cache
-        return numba.njit(function, error_model="numpy", nogil=True)
+        return cast(F, numba.njit(function, error_model="numpy", nogil=True))
 
 
 inlined = numba.njit(error_model="numpy")

@@ -20,7 +20,7 @@ TILT = 0.35  # rad, right fingers down while they go to the cube
 GRIP_NEAR = 0.005  # m from the cube's centre towards the robot
 MEET = (0.34, -0.13, 0.95)  # m, where the cube changes hands: ahead and left of the base, above the floor
 LEFT_YAW = -1.2  # rad, the left fingers point inwards, past the end of the right ones
-LEFT_FAR = 0.03  # m that the left palm stays back from the cube's centre, along its fingers
+LEFT_FAR = 0.037  # m that the left palm stays back from the cube's centre, along its fingers
 PULL_BACK = 0.09  # m, the right hand afterwards
 CARRIED = (0.27, 0.27, 0.90)  # m, where the cube ends, as MEET
 
