@@ -21,8 +21,8 @@ class Options:
         policy: A pretrained_model directory of `demohlm train` or lerobot-train.
         task: Name of the task that it is to do.
         interface: Network interface of the robot; nothing is sent to any other.
-        pose_source: How objects are seen, as --perception of `demohlm evaluate`, with options behind commas, such as
-            remote,address=tcp://127.0.0.1:5570. With --camera it is remote or apriltag.
+        pose_source: How objects are seen: exact, model, rgbd, remote or apriltag, with the options that
+            docs/perception.md has. With --camera it is remote or apriltag.
         servo_port: Serial port of neck and grippers.
         root: Directory of the record; must not exist.
         domain: Of DDS; a real robot's is 0.
