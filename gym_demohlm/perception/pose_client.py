@@ -1,7 +1,7 @@
 """Pictures of one camera -> a pose server elsewhere -> answers, without ever waiting for them longer than allowed.
 
-While an answer is outstanding nothing new is asked, and one that comes late is told with the number of its picture.
-What cannot be used is counted, with its reason.
+The client asks for nothing new while it waits for an answer. An answer that comes late is handed on with the number of
+its picture. What cannot be used is counted, with its reason.
 """
 
 from collections import Counter

@@ -6,6 +6,7 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.perception.settings import PerceptionSettings
+from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
 
@@ -86,37 +87,20 @@ def draw(lines: Path, figure: Path) -> None:
     Raises:
         DatasetError: There is no such file, or it is damaged.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     found: dict[tuple[str, str, str, str], dict[str, Any]] = {}
     for line in jsonl.read(lines):
         if "success_held" in line:
             found[line["task"], line["policy"], line["region"], line["perception"]] = line
-    pictures, places = pyplot.subplots(1, len(AXES), figsize=(3.4 * len(AXES), 3.2), sharey=True)
-    for place, (axis, (source, values)) in zip(places, AXES.items(), strict=True):
+    panels = []
+    for axis, (source, values) in AXES.items():
+        curves = {}
         for task, policy, region in sorted({key[:3] for key in found}):
-            plain = PLAIN.get(axis, 0.0)
             points = []
-            for value in sorted({plain, *values}):
+            for value in sorted({PLAIN.get(axis, 0.0), *values}):
                 perception = PerceptionSettings(source=source, **{axis: value})  # pyright: ignore[reportArgumentType]
                 line = found.get((task, policy, region, str(perception)))
                 if line is not None:
                     points.append((value, line["success_held"]["rate"], *line["success_held"]["interval"]))
-            if len(points) > 1:
-                x, rate, low, high = zip(*points, strict=True)
-                (drawn,) = place.plot(x, rate, marker="o", markersize=3, label=f"{task} {region}, {policy}")
-                place.fill_between(x, low, high, alpha=0.12, color=drawn.get_color(), linewidth=0)
-        place.set_xlabel(LABELS[axis])
-        place.set_title(f"on {source} poses", fontsize=9)
-        place.set_ylim(-0.02, 1.02)
-        place.grid(alpha=0.3)
-    places[0].set_ylabel("success, held for 1 s")
-    handles, names = places[0].get_legend_handles_labels()
-    pictures.legend(handles, names, loc="lower center", ncol=4, fontsize=8, frameon=False)
-    pictures.tight_layout(rect=(0, 0.08, 1, 1))
-    figure.parent.mkdir(parents=True, exist_ok=True)
-    pictures.savefig(figure, dpi=110)
-    pyplot.close(pictures)
+            curves[f"{task} {region}, {policy}"] = points
+        panels.append(Panel(title=f"on {source} poses", label=LABELS[axis], curves=curves))
+    draw_panels(panels, "success, held for 1 s", figure, panel_size=(3.4, 3.2))

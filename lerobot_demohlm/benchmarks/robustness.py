@@ -7,6 +7,7 @@ from typing import Any
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError, UnknownNameError
 from gym_demohlm.variation.factors import FACTORS, GROUPS
+from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
 from lerobot_demohlm.experiments.tables import markdown
@@ -100,33 +101,17 @@ def draw(lines: Path, figure: Path) -> None:
     Raises:
         DatasetError: There is no such file, or it is damaged.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     found = _read(lines)
-    pictures, places = pyplot.subplots(1, len(VARIED), figsize=(2.6 * len(VARIED), 3.0), sharey=True)
-    for place, group in zip(places, VARIED, strict=True):
+    panels = []
+    for group in VARIED:
+        curves = {}
         for task, region, policy in dict.fromkeys(key[:3] for key in found):
             cells = [found.get((task, region, policy, "none", 0.0))]
             cells += [found.get((task, region, policy, group, strength)) for strength in STRENGTHS]
             points = [(c["strength"], c[SUCCESS]["rate"], *c[SUCCESS]["interval"]) for c in cells if c is not None]
-            if len(points) > 1:
-                x, rate, low, high = zip(*points, strict=True)
-                (line,) = place.plot(x, rate, marker="o", markersize=3, label=f"{task} {region}, {policy}")
-                place.fill_between(x, low, high, alpha=0.12, color=line.get_color(), linewidth=0)
-        place.set_title(group, fontsize=9)
-        place.set_xlabel(f"strength of {PRESET}")
-        place.set_ylim(-0.02, 1.02)
-        place.grid(alpha=0.3)
-    places[0].set_ylabel("strict success")
-    handles, names = places[0].get_legend_handles_labels()
-    pictures.legend(handles, names, loc="lower center", ncol=4, fontsize=8, frameon=False)
-    pictures.tight_layout(rect=(0, 0.08, 1, 1))
-    figure.parent.mkdir(parents=True, exist_ok=True)
-    pictures.savefig(figure, dpi=110)
-    pyplot.close(pictures)
+            curves[f"{task} {region}, {policy}"] = points
+        panels.append(Panel(title=group, label=f"strength of {PRESET}", curves=curves))
+    draw_panels(panels, "strict success", figure, panel_size=(2.6, 3.0))
 
 
 def _read(lines: Path) -> dict[tuple[Any, ...], dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""How hard two palms press on the thing between them -> by how much they are told to press further.
+"""The measured force of two palms on the thing between them -> palm targets that press harder where it is too weak.
 
 A demonstration holds its own thing in its own world: pushing the palms as far into the sides of one that is smaller,
 heavier or smoother is not enough. Where worlds vary, the force of the demonstrated grip is measured, and the palms are
@@ -13,7 +13,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
 from lerobot_demohlm.generation.world_view import WorldView
 
-_PRESSED_M = 0.01  # by which palms are told to be closer than they come where they press on a thing between them
+_PRESSED_M = 0.01  # palms press where their targets are closer together than the palms themselves by more than this
 _YIELD_M = 0.0003  # inwards for each newton that lacks, in a tick; a palm yields by about 1 mm a newton
 _OPEN_M = 0.01  # outwards in each tick once the demonstration lets go
 

@@ -142,7 +142,7 @@ class TagSource:
 class ServerSource:
     """Sends a camera's pictures to a pose server, which finds the objects in them by itself.
 
-    There is no odometry here: what the server is told of the camera's pose is that it is level.
+    There is no odometry here, so the server is told only that the camera is level.
 
     Args:
         task: The task.

@@ -189,7 +189,7 @@ def targets(numbers, after, told, attitude, action, lower, upper, out):
         numbers: Of the controller.
         after: (n, STATE_SIZE) the state after this tick; its action is written.
         told: (n, 7) as ``perceive`` left it.
-        attitude: (n, 4) likewise.
+        attitude: (n, 4) as ``perceive`` left it.
         action: (n, 15) within its bounds.
         lower: (15,) bounds of the joints [rad].
         upper: (15,).

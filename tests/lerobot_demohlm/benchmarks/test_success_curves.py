@@ -1,0 +1,45 @@
+"""Curves of success: what is drawn, and what the measures make of their lines."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.axes import Axes
+
+from lerobot_demohlm.benchmarks import perception_curves
+from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
+
+
+@pytest.fixture
+def plotted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[float, ...]]]:
+    """Return name and x of every curve as it is drawn."""
+    found: list[tuple[str, tuple[float, ...]]] = []
+    plot = Axes.plot
+
+    def spy(self: Axes, *args: Any, **options: Any) -> Any:
+        found.append((options["label"], tuple(args[0])))
+        return plot(self, *args, **options)
+
+    monkeypatch.setattr(Axes, "plot", spy)
+    return found
+
+
+def test_a_curve_needs_two_points(tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]) -> None:
+    one, two = [(0.0, 0.9, 0.8, 1.0)], [(0.0, 0.9, 0.8, 1.0), (1.0, 0.5, 0.4, 0.6)]
+    panels = [Panel(title="a", label="x", curves={"few": one}), Panel(title="b", label="x", curves={"enough": two})]
+    draw_panels(panels, "success", tmp_path / "new" / "curves.png", panel_size=(2.0, 2.0))
+    assert plotted == [("enough", (0.0, 1.0))]
+    assert (tmp_path / "new" / "curves.png").stat().st_size > 1000
+
+
+def test_lines_become_curves_of_every_axis(tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]) -> None:
+    lines = tmp_path / "lines.jsonl"
+    facts = {"task": "LiftBox", "region": "R3", "policy": "mlp"}
+    success = {"rate": 0.8, "interval": [0.7, 0.9]}
+    found = perception_curves.conditions(list(perception_curves.AXES))
+    lines.write_text("".join(json.dumps(facts | {"perception": str(c), "success_held": success}) + "\n" for c in found))
+    perception_curves.draw(lines, tmp_path / "curves.png")
+    values = [values for _, values in perception_curves.AXES.values()]
+    assert len(plotted) == len(values)
+    assert all(set(expected) <= set(x) for (_, x), expected in zip(plotted, values, strict=True))
