@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.parsing import default
 
@@ -19,6 +20,7 @@ class Options:
         domain: Of DDS; a real robot's is 0.
         region: Initial region from which starts are drawn.
         seed: Of the first start; each further one has the next seed.
+        near: Begin each time where a person takes over, near the objects: a rehearsal of teleoperation.
         faults: JSON file of what goes wrong; see docs/deployment.md.
         servo_link: Path made to lead to the serial port of its neck and grippers.
         noise: Sensor noise, as a share of the usual one.
@@ -34,6 +36,7 @@ class Options:
     domain: int = 0
     region: str = DEFAULT_REGION
     seed: int = 0
+    near: bool = False
     faults: Annotated[Path | None, default("none")] = None
     servo_link: Path = Path("outputs/robot/servos")
     noise: float = 1.0
@@ -49,12 +52,18 @@ def run(options: Options) -> None:
     from lerobot_demohlm.hardware.faults import Faults
     from lerobot_demohlm.hardware.simulated_g1 import SimulatedSettings, run
 
+    start = None
+    if options.near:
+        from lerobot_demohlm.teleop.web.record import operators_place
+
+        start = operators_place(get_task(options.task))
     settings = SimulatedSettings(
         task=options.task,
         interface=options.interface,
         domain=options.domain,
         region=options.region,
         seed=options.seed,
+        start=start,
         faults=Faults.read(options.faults),
         servo_link=options.servo_link,
         noise=options.noise,

@@ -12,13 +12,14 @@ import numpy as np
 from gym_demohlm.control import command
 from gym_demohlm.task import Task
 from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
+from lerobot_demohlm.devices.mirror import Mirror
 from lerobot_demohlm.hardware import remote, robot_observation
 from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
 from lerobot_demohlm.hardware.records import Mode
 
 BALANCE_S = 3.0  # that it stands before it runs
 PATIENCE_S = 30.0
-_PAUSE_S = 0.02
+_PAUSE_S, _ASK_AGAIN_S = 0.02, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,9 @@ class DdsRobot:
         config: Where it is.
         task: The task.
 
+    Attributes:
+        mirror: What a teleoperator sees of it.
+
     Raises:
         DemoHLMError: It was refused; nothing has moved.
         DeviceError: It does not stand or run.
@@ -66,8 +70,8 @@ class DdsRobot:
         )
         try:
             self._allow("start")
-            self._deployment.request(Mode.STAND)
-            self._wait_to_stand()
+            self._stand()
+            self.mirror = Mirror(task, self._deployment.read)
         except BaseException:
             self._deployment.close()
             raise
@@ -111,18 +115,25 @@ class DdsRobot:
     def reset(self) -> None:
         """Begin an episode: at its first action a robot that holds runs again."""
         self._step = 0
+        self.mirror.reset()
 
     def close(self) -> None:
         """Brake the motors."""
+        self.mirror.close()
         self._deployment.close()
 
-    def _wait_to_stand(self) -> None:
-        until = time.monotonic() + PATIENCE_S
+    def _stand(self) -> None:
+        """Stand up; asks again for as long as something is missing that may still come, such as the servos' answer."""
+        until, next_time = time.monotonic() + PATIENCE_S, 0.0
         while not self._deployment.standing:
-            if time.monotonic() > until:
+            now = time.monotonic()
+            if now > until:
                 raise DeviceError(
                     f"a robot that does not stand ({self._deployment.reason})", "one that does", "see `robot-check`"
                 )
+            if now > next_time and self._deployment.mode == Mode.DAMP:
+                self._deployment.request(Mode.STAND)
+                next_time = now + _ASK_AGAIN_S
             time.sleep(_PAUSE_S)
         time.sleep(BALANCE_S)
 

@@ -76,6 +76,7 @@ class DemoHLMG1(Robot):
             from lerobot_demohlm.devices.dds import DdsRobot  # needs the extra g1
 
             self._world = DdsRobot(config, self.task)
+            live.set_current(self._world.mirror)
         else:
             by_clock = config.pace == "clock"
             self._world = live.LiveWorld(self.task, config.region, config.seed, config.spread, by_clock=by_clock)

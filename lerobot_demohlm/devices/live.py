@@ -7,6 +7,7 @@ thread of its own, and a teleoperator of the same process sees it here, as a per
 import threading
 import time
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -43,6 +44,19 @@ class Seen:
     environment_state: np.ndarray
     joint_positions: np.ndarray
     success: bool
+
+
+class Operated(Protocol):
+    """What a teleoperator sees: a simulated world, or the mirror of a robot at the other end of a network."""
+
+    task: Task
+    sim: Simulation
+    pace: RealTimeWorld
+    seen: Seen
+
+    def reset(self) -> Seen:
+        """Begin the next episode."""
+        ...
 
 
 class LiveWorld:
@@ -130,15 +144,15 @@ class LiveWorld:
         )
 
 
-_current: LiveWorld | None = None
+_current: Operated | None = None
 
 
-def current() -> LiveWorld | None:
+def current() -> Operated | None:
     """Return the world of the robot that this process has connected; None where there is none."""
     return _current
 
 
-def set_current(world: LiveWorld | None) -> None:
+def set_current(world: Operated | None) -> None:
     """Make a world the one that teleoperators of this process see."""
     global _current
     _current = world

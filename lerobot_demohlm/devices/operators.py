@@ -41,7 +41,7 @@ class _Operating(Teleoperator):
         self._on = False
         self._last = command.rest()
         self._ik: WholeBodyIK | None = None
-        self._world: live.LiveWorld | None = None
+        self._world: live.Operated | None = None
         self._at = (-1, -1)  # episode and step that the last action is for
 
     @property
@@ -91,7 +91,7 @@ class _Operating(Teleoperator):
             self._follow(world, self._ik)
         return dict(zip(command.NAMES, self._last.tolist(), strict=True))
 
-    def _follow(self, world: live.LiveWorld, ik: WholeBodyIK | None) -> None:
+    def _follow(self, world: live.Operated, ik: WholeBodyIK | None) -> None:
         seen = world.seen
         if ik is None or (seen.episode, seen.step) == self._at:
             return
@@ -111,11 +111,11 @@ class _Operating(Teleoperator):
         """Return whether the torso must stay where the controller lets it while it steps."""
         return bool(asked.velocity.any())
 
-    def _enter(self, world: live.LiveWorld) -> None:
+    def _enter(self, world: live.Operated) -> None:
         """See a world for the first time."""
 
     @abstractmethod
-    def _begin(self, world: live.LiveWorld) -> None:
+    def _begin(self, world: live.Operated) -> None:
         """Begin an episode."""
 
     @abstractmethod
@@ -133,7 +133,7 @@ class DemoHLMScript(_Operating):
         super().__init__(config)
         self._operator: Operator | None = None
 
-    def _begin(self, world: live.LiveWorld) -> None:
+    def _begin(self, world: live.Operated) -> None:
         self._operator = script_of(world.task).make_operator()
 
     def _ask(self, seen: live.Seen) -> OperatorPoses | None:
@@ -162,12 +162,12 @@ class DemoHLMWeb(_Operating):
             self._stage = None
         super().disconnect()
 
-    def _enter(self, world: live.LiveWorld) -> None:
+    def _enter(self, world: live.Operated) -> None:
         if self._stage is not None:
             self._stage.close()
         self._stage = _Stage(world, self.config, self._clutch)
 
-    def _begin(self, world: live.LiveWorld) -> None:
+    def _begin(self, world: live.Operated) -> None:
         self._clutch.reset()
 
     def _ask(self, seen: live.Seen) -> OperatorPoses | None:
@@ -194,7 +194,7 @@ class DemoHLMGamepad(DemoHLMWeb):
 class _Stage:
     """What a page shows of a live world: a session without a recording, which is LeRobot's."""
 
-    def __init__(self, world: live.LiveWorld, config: _PageConfig, clutch: Clutch) -> None:
+    def __init__(self, world: live.Operated, config: _PageConfig, clutch: Clutch) -> None:
         self.world, self.task, self.sim, self.clutch = world, world.task, world.sim, clutch
         self.targets = world.seen.view.T_world_hands
         self.paused, self.message = False, "recorded by LeRobot: its keys are at the terminal"

@@ -28,7 +28,8 @@ class Limits:
     Attributes:
         ranges: (29, 2) of position targets [rad].
         step: (29,) by which a target may differ from the one before, a tick of 20 ms earlier [rad]. Demonstrations
-            take 0.09 in legs and 0.07 in arms; arms are commanded 0.1 at most.
+            take 0.09 in legs and 0.07 in arms. That of arms is well below ``speed``: a command far away is reached
+            slowly, and is no reason to damp.
         torque: (29,) that the motors' PD may ask for at the measured state [Nm].
         speed: (29,) that joints may be seen to turn at [rad/s].
         max_kp: Largest gain [Nm/rad].
@@ -42,7 +43,7 @@ class Limits:
     """
 
     ranges: np.ndarray = field(default_factory=_ranges)
-    step: np.ndarray = field(default_factory=lambda: CONTROL_DT * _by_part(20.0, 10.0, 6.0))
+    step: np.ndarray = field(default_factory=lambda: CONTROL_DT * _by_part(20.0, 10.0, 4.0))
     torque: np.ndarray = field(default_factory=lambda: np.array([g1.motor(j).torque_limit for j in g1.BODY_JOINTS]))
     speed: np.ndarray = field(default_factory=lambda: _by_part(20.0, 10.0, 6.0))
     max_kp: float = 300.0

@@ -63,6 +63,7 @@ class SimulatedSettings:
         domain: Of DDS.
         region: From which each episode's start is drawn.
         seed: Of the first start; the next episode has the next seed.
+        start: Of every episode; drawn from the region by default.
         servo_link: Path that leads to the serial port of neck and grippers; none by default.
         faults: What goes wrong.
         noise: Of joints [rad], their velocities [rad/s] and the gyro [rad/s], as a share of the usual one.
@@ -83,6 +84,7 @@ class SimulatedSettings:
     domain: int = DOMAIN
     region: str = DEFAULT_REGION
     seed: int = 0
+    start: InitialState | None = None
     servo_link: Path | None = None
     faults: Faults = field(default_factory=Faults)
     noise: float = 1.0
@@ -235,7 +237,7 @@ class SimulatedG1:
     def _hang(self) -> None:
         """Begin the next episode in the gantry."""
         self._episode += 1
-        start: InitialState = self._task.sample(
+        start = self._settings.start or self._task.sample(
             self._settings.region, np.random.default_rng(self._settings.seed + self._episode)
         )
         start = self.sim.vary(start)

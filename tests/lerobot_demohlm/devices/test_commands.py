@@ -1,8 +1,5 @@
 """LeRobot's own commands with our devices, as processes."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +8,9 @@ import pytest
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
+from tests.helpers.lerobot import run
 
 pytestmark = pytest.mark.slow
-
-
-def run(tmp_path: Path, name: str, *options: str) -> None:
-    """Run one of LeRobot's commands."""
-    environment = os.environ | {"HF_LEROBOT_CALIBRATION": str(tmp_path / "calibration")}
-    path = Path(sys.executable).with_name(name)
-    done = subprocess.run(
-        [path, *options], env=environment, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
 
 
 def test_record_then_train_and_replay(tmp_path: Path) -> None:

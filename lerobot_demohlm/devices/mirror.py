@@ -1,0 +1,166 @@
+"""What a robot at the other end of a network tells of itself -> a scene in which a teleoperator sees it.
+
+A robot measures its joints and how it is tilted, not where it is. Here it stands on the foot that is lower, and what
+it does is counted from there: leg odometry, without the physics. Objects are where the pose source sees them.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.envs import observation
+from gym_demohlm.errors import SceneError
+from gym_demohlm.robot import g1, neck
+from gym_demohlm.robot.robot import GRIPPER_JOINTS
+from gym_demohlm.simulation import Simulation
+from gym_demohlm.task import Task
+from gym_demohlm.timing import CONTROL_DT, TICKS
+from lerobot_demohlm.devices.live import Seen
+from lerobot_demohlm.hardware import robot_observation
+from lerobot_demohlm.hardware.slots import Reading
+from lerobot_demohlm.teleop.realtime import RealTimeWorld
+from lerobot_demohlm.teleop.recorder import scene_view
+
+_STEP_M = 0.005  # m that a sole must be below the other to take over as the one that stands
+
+
+class Mirror:
+    """A simulated robot that takes every pose of a real one, 50 times a second, in a thread of its own.
+
+    The world's frame is that of the task: an episode begins with the robot where the task has it by default. Tables are
+    where they would be beside the first object that is seen; nothing measures them.
+
+    Args:
+        task: The task.
+        read: Name of a record -> its newest value, see ``hardware.records``.
+
+    Attributes:
+        task: The task.
+        sim: The scene; only its own thread may change it.
+        pace: What shows its ticks.
+        seen: The robot after the last step of 0.1 s. ``success`` is never true: nobody measures it.
+    """
+
+    def __init__(self, task: Task, read: Callable[[str], Reading | None]) -> None:
+        self.task, self.sim, self._read = task, Simulation(task), read
+        self.pace = RealTimeWorld(self.sim)
+        self._episode, self._step, self._new = -1, 0, True
+        self._lock, self._stop = threading.Lock(), threading.Event()
+        self.reset()
+        self._thread = threading.Thread(target=self._run, name="mirror", daemon=True)
+        self._thread.start()
+
+    def reset(self) -> Seen:
+        """Begin an episode: the robot is where the task has it; returns what is seen there."""
+        with self._lock:
+            self._episode += 1
+            self._step, self._new = 0, True
+            self.sim.reset([self.task.default_state()])
+            self._objects: dict[str, np.ndarray] = {}
+            self._support, self._anchor = 0, np.zeros(2)
+            self._show()
+            self.seen = self._look()
+            return self.seen
+
+    def close(self) -> None:
+        """Stop."""
+        self._stop.set()
+        self._thread.join(5.0)
+        self.sim.close()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self.pace.wait()
+            for tick in range(TICKS):
+                with self._lock:
+                    self._show()
+                    self.pace.after_tick(tick)
+                if self._stop.wait(CONTROL_DT if tick < TICKS - 1 else 0.0):
+                    return
+            with self._lock:
+                self._step += 1
+                self.seen = self._look()
+
+    def _look(self) -> Seen:
+        view, state = scene_view(self.sim, self._step), self._read("state")
+        servos, pose = self._read("servos"), self._read("pose")
+        sensed = np.zeros(len(observation.STATE_NAMES), np.float32)
+        if state is not None:
+            sensed = robot_observation.agent_pos(state.value, None if servos is None else servos.value)
+        objects = np.zeros(9 * len(self.task.objects), np.float32)
+        if pose is not None:
+            objects = robot_observation.environment_state(pose.value, len(self.task.objects))
+        return Seen(
+            episode=self._episode,
+            step=self._step,
+            view=replace(view, T_world_objects={**view.T_world_objects, **self._objects}),
+            state=sensed,
+            environment_state=objects,
+            joint_positions=self.sim.joint_positions[0],
+            success=False,
+        )
+
+    def _show(self) -> None:
+        """Take the robot's pose, and put objects where they are seen."""
+        state = self._read("state")
+        if state is None:
+            return
+        servos = self._read("servos")
+        for joint, angle in zip(g1.BODY_JOINTS, state.value["q"], strict=True):
+            self.sim.set_joint(f"{joint}_joint", float(angle))
+        if servos is not None:
+            jaws = GRIPPER_JOINTS if self.sim.scene.num_grippers else ()
+            places = [*servos.value["neck"], *servos.value["jaws"][: len(jaws)]]
+            for joint, place in zip((*neck.NECK_JOINTS, *jaws), places, strict=True):
+                self.sim.set_joint(f"{joint}_joint", float(place))
+        self._stand(state.value["quat_wxyz"])
+        pose = self._read("pose")
+        if pose is not None:
+            self._see(pose.value)
+
+    def _stand(self, quat_wxyz: np.ndarray) -> None:
+        """Put the pelvis where the foot that stands has not moved."""
+        T_world_pelvis = self.sim.pose("pelvis")[0]
+        measured = poses.pose(np.zeros(3), quat_wxyz)
+        if self._new:  # headings count from here
+            x, y, yaw = self.task.default_state()["robot"]
+            self._turned = poses.planar(0.0, 0.0, yaw - poses.to_planar(measured)[2])
+            T_world_pelvis[:2, 3] = x, y
+        T_world_pelvis[:3, :3] = (self._turned @ measured)[:3, :3]
+        self.sim.set_pose("pelvis", T_world_pelvis)
+        soles = np.stack([self.sim.pose(f"{side}_sole")[0, :3, 3] for side in g1.SIDES])
+        if self._new:
+            self._support = int(np.argmin(soles[:, 2]))
+            self._anchor, self._new = soles[self._support, :2].copy(), False
+        T_world_pelvis[:2, 3] += self._anchor - soles[self._support, :2]
+        T_world_pelvis[2, 3] -= soles[:, 2].min()
+        other = 1 - self._support
+        if soles[other, 2] < soles[self._support, 2] - _STEP_M:
+            self._anchor = self._anchor + soles[other, :2] - soles[self._support, :2]
+            self._support = other
+        self.sim.set_pose("pelvis", T_world_pelvis)
+
+    def _see(self, pose: np.void) -> None:
+        """Put objects where they are seen; what is not seen stays."""
+        T_world_camera = self.sim.pose("head_camera")[0]
+        for index, entry in enumerate(self.task.objects):
+            if not pose["valid"][index]:
+                continue
+            T_world_object = T_world_camera @ pose["T_camera_object"][index]
+            if not self._objects:
+                self._place_tables(T_world_object[:3, 3] - self.sim.pose(entry.name)[0, :3, 3])
+            self._objects[entry.name] = T_world_object
+            try:
+                self.sim.set_pose(entry.name, T_world_object)
+            except SceneError:
+                continue  # it hangs on another: a handle on its door
+
+    def _place_tables(self, offset: np.ndarray) -> None:
+        """Move what objects stand on by how far (3,) [m] the first object is from where the task has it."""
+        for support in set(self.task.supports) - {entry.name for entry in self.task.objects}:
+            T_world_support = self.sim.pose(support)[0]
+            T_world_support[:3, 3] += offset
+            self.sim.set_pose(support, T_world_support)
