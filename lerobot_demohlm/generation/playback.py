@@ -27,6 +27,8 @@ from lerobot_demohlm.generation.stages import (
 )
 from lerobot_demohlm.generation.world_view import WorldView
 
+NO_HIGHER_M = 0.005  # above the demonstrated height, up to which a thing began there
+
 
 @dataclass(frozen=True, kw_only=True)
 class Started:
@@ -182,6 +184,7 @@ class Playback:
             if first.anchor == "body":
                 way = np.concatenate([last_d[None], demonstrated])
                 path = retarget.carried_targets(way, T_W_Rd, T_W_R)
+                path[..., 2, 3] += self._raised(first.object)
                 targets = retarget.bring(last, path, retarget.progress(way))[1:]
                 self._note(group, T_W_Rd, T_W_R)
             else:
@@ -191,6 +194,18 @@ class Playback:
                 self._note(group, anchors_d, anchors)
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
             self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
+
+    def _raised(self, name: str | None) -> float:
+        """Return how much higher a thing began than in the demonstration [m]: so much higher it is taken, too.
+
+        A lift that ended at the demonstrated height would be too short. From lower down it ends there nonetheless, as
+        the robot cannot carry things at its knees. Differences below 5 mm are none: things settle.
+        """
+        if name is None:
+            return 0.0
+        began = self.demonstration.T_world_objects[0, self._names.index(name), 2, 3]
+        higher = float(self.world.start_pose(name)[2, 3] - began)
+        return higher if higher > NO_HIGHER_M else 0.0
 
     def _note(self, group: tuple[Segment, ...], then: np.ndarray, now: np.ndarray) -> None:
         shape = (len(group), 4, 4)
