@@ -345,6 +345,14 @@ class Task:
         form = self.wide_form
         return replace(self, build=form.build, objects=form.objects, regions={WIDEST: found}, wide_form=None)
 
+    def turns_away(self, region: str) -> bool:
+        """Tell whether the first object may face away from the robot by more than 45 degrees, in a region [rad].
+
+        In the paper's regions none does: things turn no further, or look the same after a quarter turn.
+        """
+        symmetry, yaws = self.objects[0].symmetry, self.region(region).object_yaw
+        return symmetry != "any" and min(max(map(abs, yaws)), math.pi / len(symmetry)) > math.pi / 4 + 1e-9
+
     def is_scattered(self, region: str) -> bool:
         """Tell whether objects start in a region each by itself, so that no motion can be about one of them alone."""
         return any(own.everywhere or region == WIDEST for own in self.spreads.values())

@@ -290,7 +290,7 @@ class Attempts:
         off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
         placement = replace(chosen, goal=poses.to_planar(poses.planar(*goal) @ poses.planar(*off)))
         attempt.placement = placement
-        if self.region == WIDEST:
+        if self.task.turns_away(self.region):
             yield from stages.go_around(world, self.task, placement.goal, self.settings.walking)
         yield from stages.locomotion(world, placement.goal, self.settings.walking)
         playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)

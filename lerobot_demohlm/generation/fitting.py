@@ -14,9 +14,9 @@ PRESSED_M = 0.03  # from this far inside a side on, where a palm is told to be t
 def fitted(demonstration: Demonstration, task: Task) -> Demonstration:
     """Return a demonstration whose hands are where they would be had its boxes the sizes that they have here.
 
-    A hand at a side of the box, or beyond it, moves as far as the side does. One over or under the box keeps its place between
-    the sides: its offset grows with its distance from the middle. The rotation of hands, the robot and the objects stay
-    as they are.
+    A hand at a side of the box, or beyond it, moves as far as the side does. One over or under the box keeps its place
+    between the sides: it moves the further, the further it is from the middle. The rotation of hands, the robot and the
+    objects stay as they are.
 
     Args:
         demonstration: The source.

@@ -54,6 +54,8 @@ class PlaybackSettings:
         arrive_ticks: Largest number of ticks to walk on where the end of a walk is further away than ``arrive_m``.
         displaced_m: Distance from which on an object that moved before the hands took it counts as run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
+        watches_base: Whether commands are found for where the base is at each tick. Otherwise it is looked at when a
+            part of the motion begins, and thought to move as demonstrated from then on.
         delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
     """
 
@@ -73,6 +75,7 @@ class PlaybackSettings:
     arrive_ticks: int = 25
     displaced_m: float = 0.06
     final_ticks: int = 5
+    watches_base: bool = True
     delicate_ticks: tuple[int, int] = (10, 5)
 
 
