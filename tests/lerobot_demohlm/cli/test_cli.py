@@ -118,6 +118,12 @@ def test_every_flag_of_before_is_there() -> None:
     assert count == 174
 
 
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if not any(f.required for f in flags_of(options_of(verb)))])
+def test_what_need_not_be_given_is_left_out(verb: Verb) -> None:
+    """Also options of which several values may follow."""
+    assert parse(options_of(verb), verb, []) == options_of(verb)()
+
+
 def test_help_is_quick() -> None:
     """Neither the verbs nor the options of any of them take the seconds that importing torch and lerobot takes."""
     code = (
