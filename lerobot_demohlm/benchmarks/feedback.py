@@ -104,11 +104,11 @@ def measure(
     known = {(*line.made_of, line.replay): line for line in jsonl.read_as(FeedbackLine, path)} if path.exists() else {}
     for task in tasks:
         for variation in variations:
-            stamped = stamps(task, variation, region)
+            stamp, worlds = stamps(task, variation, region)
             for name in replays:
-                line = known.get((task.name, variation, region, attempts, *stamped.values(), name))
+                line = known.get((task.name, variation, region, attempts, stamp, worlds, name))
                 if line is None:
-                    values = _measure(task, variation, name, attempts, region) | stamped
+                    values = _measure(task, variation, name, attempts, region) | {"stamp": stamp, "worlds": worlds}
                     call = f'{COMMAND} --tasks {task.name} --variations {variation} --replays "{name}"'
                     append_result(path, f"{call} --num-attempts {attempts} --region {region}", values)
                     line = jsonl.parse(FeedbackLine, values, str(path))

@@ -79,6 +79,6 @@ def tally(task: Task, settings: Settings, region: str, seed: int, count: int) ->
     }
 
 
-def stamps(task: Task, variation: str, region: str) -> dict[str, str]:
-    """Return the stamps of a line."""
-    return {"stamp": portability.stamp(task), "worlds": portability.worlds_stamp(task, variation, region)}
+def stamps(task: Task, variation: str, region: str) -> tuple[str, str]:
+    """Return what a line has as ``stamp`` and ``worlds``."""
+    return portability.stamp(task), portability.worlds_stamp(task, variation, region)

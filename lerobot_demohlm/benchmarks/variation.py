@@ -52,11 +52,11 @@ def measure(
     known = {probe.made_of: probe for probe in jsonl.read_as(Probe, path)} if path.exists() else {}
     for variation in variations:
         for task in tasks:
-            stamped = stamps(task, variation, region)
-            probe = known.get((task.name, variation, region, attempts, *stamped.values()))
+            stamp, worlds = stamps(task, variation, region)
+            probe = known.get((task.name, variation, region, attempts, stamp, worlds))
             if probe is None:
                 settings = Settings(variation=replace(PLAIN, variation=variation))
-                values = tally(task, settings, region, SEED, attempts) | stamped
+                values = tally(task, settings, region, SEED, attempts) | {"stamp": stamp, "worlds": worlds}
                 call = f"demohlm benchmark variation --tasks {task.name} --variations {variation}"
                 append_result(path, f"{call} --num-attempts {attempts} --region {region}", values)
                 probe = jsonl.parse(Probe, values, str(path))

@@ -11,14 +11,14 @@ AGED = " *"  # behind what was measured before the task, the variation or the ge
 
 
 def variation_table(lines: Sequence[Measurement]) -> str:
-    """Return strict successes [%] of each task under each variation, the newest of each, a table for each region."""
+    """Return strict successes of each task under each variation, the newest of each, a table for each region."""
     order = {name: index for index, name in enumerate(_names(lines, "variation"))}
     names = sorted(order, key=lambda name: (name != "none", ":" not in name, order[name]))
     return _tables("**Generation in worlds that vary**", lines, "variation", names)
 
 
 def feedback_table(lines: Sequence[Measurement]) -> str:
-    """Return strict successes [%] of each task replayed in each way, a table for each region and variation."""
+    """Return strict successes of each task replayed in each way, a table for each region and variation."""
     parts = []
     for variation in _names(lines, "variation"):
         chosen = [line for line in lines if line["variation"] == variation]
@@ -33,7 +33,7 @@ def _tables(title: str, lines: Sequence[Measurement], column: str, names: Sequen
         tasks = sorted({task for task, _ in found})
         shown = [name for name in names if any((task, name) in found for task in tasks)]
         rows = [[task, *(_cell(found.get((task, name))) for name in shown)] for task in tasks]
-        note = "Strict successes [%] and attempts."
+        note = "Strict successes of so many attempts."
         if any(AGED in cell for row in rows for cell in row):
             note += " \\* was measured before task, worlds or generator became what they are now."
         parts.append(f"{title}, {region}\n\n{markdown(['task', *map(_code, shown)], rows)}\n\n{note}")
@@ -43,7 +43,7 @@ def _tables(title: str, lines: Sequence[Measurement], column: str, names: Sequen
 def _cell(line: Measurement | None) -> str:
     if line is None:
         return "-"
-    return f"{100 * line['strict'] / line['attempts']:.0f} of {line['attempts']}{AGED if _is_aged(line) else ''}"
+    return f"{100 * line['strict'] / line['attempts']:.0f} % of {line['attempts']}{AGED if _is_aged(line) else ''}"
 
 
 def _is_aged(line: Measurement) -> bool:
