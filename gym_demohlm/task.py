@@ -34,6 +34,7 @@ Predicate = Callable[["Worlds"], np.ndarray]
 MotionFrame = Literal["robot", "hands", "scene"]
 
 Range = tuple[float, float]
+Lengths = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +188,7 @@ class ObjectSpec:
             ``placed`` has no effect.
         height_joint: Slide joint that takes the region's z offset instead of the body, for a thing that stands on the
             floor and can be made taller or lower.
+        resized: Lengths along its axes in demonstrations and here [m], where a box is not as demonstrated.
     """
 
     name: str
@@ -196,10 +198,24 @@ class ObjectSpec:
     placed: bool = True
     moves_with: str | None = None
     height_joint: str | None = None
+    resized: tuple[Lengths, Lengths] | None = None
 
     def __post_init__(self) -> None:
         if self.symmetry != "any" and 0.0 not in self.symmetry:
             raise SceneError(f"symmetry {self.symmetry} of {self.name!r}", "angles with 0.0 among them", "add 0.0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WideForm:
+    """What a task has in R4 instead of things with four equal sides, so that their yaw counts.
+
+    Attributes:
+        build: Function that adds the task's bodies, as that of the task.
+        objects: Tracked objects, by the names and in the order of the task's.
+    """
+
+    build: Callable[[mujoco.MjSpec], None]
+    objects: tuple[ObjectSpec, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,6 +266,7 @@ class Task:
         failures: Predicates that end an attempt, by the name of what went wrong, such as "dropped".
         regions: Initial regions by name. R4 is made from R3's yaw, see ``region``.
         highest_z: Largest offset in z of R4 [m], where something cannot be lifted so far.
+        wide_form: What is otherwise in R4; None where all is as in the other regions.
         spreads: Objects that are moved by themselves, each on the same support as without it, by name.
         goals: Objects that are brought to another one, by name; the motion that brings them there is about the latter.
         episode_length_s: Time limit [s].
@@ -274,6 +291,7 @@ class Task:
     failures: Mapping[str, Predicate] = field(default_factory=dict)
     regions: Mapping[str, Region] = REGIONS
     highest_z: float = 0.2
+    wide_form: WideForm | None = None
     spreads: Mapping[str, Spread] = field(default_factory=dict)
     goals: Mapping[str, Goal] = field(default_factory=dict)
     episode_length_s: float = 30.0
@@ -309,8 +327,31 @@ class Task:
         for side, _ in self.contact_pairs:
             if side not in ("left", "right"):
                 raise UnknownNameError("hand", side, ("left", "right"))
+        if self.wide_form is not None and [entry.name for entry in self.wide_form.objects] != names:
+            others = [entry.name for entry in self.wide_form.objects]
+            raise SceneError(f"objects {others} in the wide form of {self.name}", f"{names}", "name them alike")
         if not self.episode_length_s > 0:
             raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
+
+    def at(self, region: str) -> "Task":
+        """Return the task as a region has it: itself, or its wide form, which has R4 alone.
+
+        Raises:
+            UnknownNameError: The task has no such region.
+        """
+        found = self.region(region)
+        if region != WIDEST or self.wide_form is None:
+            return self
+        form = self.wide_form
+        return replace(self, build=form.build, objects=form.objects, regions={WIDEST: found}, wide_form=None)
+
+    def turns_away(self, region: str) -> bool:
+        """Tell whether the first object may face away from the robot by more than 45 degrees, in a region [rad].
+
+        In the paper's regions none does: things turn no further, or look the same after a quarter turn.
+        """
+        symmetry, yaws = self.objects[0].symmetry, self.region(region).object_yaw
+        return symmetry != "any" and min(max(map(abs, yaws)), math.pi / len(symmetry)) > math.pi / 4 + 1e-9
 
     def is_scattered(self, region: str) -> bool:
         """Tell whether objects start in a region each by itself, so that no motion can be about one of them alone."""

@@ -54,7 +54,7 @@ class DemoHLMEnv(gym.Env):
         variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
-        definition = get_task(task)
+        definition = get_task(task).at(region)
         self.task, self.task_description = definition.name, definition.description
         self.region = definition.region(region).name
         self.render_mode = render_mode

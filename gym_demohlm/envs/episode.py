@@ -21,7 +21,7 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
-from gym_demohlm.task import InitialState, Task
+from gym_demohlm.task import WIDEST, InitialState, Task
 from gym_demohlm.timing import STEP_DT
 from gym_demohlm.variation import get_variation
 
@@ -232,12 +232,16 @@ def initial_state(task: Task, region: str, rng: np.random.Generator, options: di
 
     Raises:
         UnknownNameError: The task has no such region.
-        SceneError: The initial state in the options is not a dictionary.
+        SceneError: The initial state in the options is not a dictionary, or R4 has other things than these worlds.
     """
     options = options or {}
-    given = options.get("initial_state")
+    given, asked = options.get("initial_state"), options.get("region", region)
     if given is None:
-        return task.sample(options.get("region", region), rng)
+        if asked == WIDEST and task.wide_form is not None:
+            raise SceneError(
+                f"region {WIDEST} in worlds of {region}", "worlds of its own", f'make them with "{WIDEST}"'
+            )
+        return task.sample(asked, rng)
     if not isinstance(given, dict):
         raise SceneError(f"initial_state={given!r}", "a dictionary", "see gym_demohlm.task.InitialState")
     return {key: [float(value) for value in values] for key, values in given.items()}

@@ -65,7 +65,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         check_render_mode(render_mode)
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
             raise SceneError(f"autoreset_mode={autoreset_mode}", "SAME_STEP or DISABLED", "choose one of these")
-        definition = get_task(task)
+        definition = get_task(task).at(region)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}

@@ -12,11 +12,12 @@ import mujoco
 from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
 
 Rgba = Sequence[float]
-WOOD, DARK_WOOD, STEEL, CARDBOARD = (
+WOOD, DARK_WOOD, STEEL, CARDBOARD, CHALK = (
     (0.72, 0.53, 0.36, 1.0),
     (0.45, 0.38, 0.32, 1.0),
     (0.55, 0.57, 0.60, 1.0),
     (0.78, 0.57, 0.33, 1.0),
+    (0.95, 0.95, 0.92, 1.0),
 )
 TOP_THICKNESS = 0.03
 SOFTNESS = (0.005, 1.0)
@@ -166,8 +167,23 @@ def add_cube(
     return body
 
 
+def add_mark(spec: mujoco.MjSpec, name: str, edge: float) -> None:
+    """Paint a stripe on a cube, over its top and down the side towards negative x, so that it has a front.
+
+    Args:
+        spec: The scene.
+        name: Name of the cube's body.
+        edge: Length of an edge of the cube [m].
+    """
+    body, half, thin = spec.body(name), edge / 2, 2e-4
+    add_picture(body, "box", [thin, edge / 6, half], [-half, 0.0, 0.0], CHALK)
+    add_picture(body, "box", [edge / 4, edge / 6, thin], [-edge / 4, 0.0, half], CHALK)
+
+
 QUARTER_TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
 """Turns about the vertical after which a cube looks the same."""
+HALF_TURNS = (0.0, math.pi)
+"""Turns about the vertical after which a box with two lengths looks the same."""
 
 
 LIQUID_BIT = 8

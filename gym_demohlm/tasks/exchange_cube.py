@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task, dropped
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_mark, add_round_table
+from gym_demohlm.task import ObjectSpec, Task, WideForm, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
@@ -29,6 +29,11 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS, rgba=(0.20, 0.45, 0.75, 1.0))
 
 
+def _build_marked(spec: mujoco.MjSpec) -> None:
+    _build(spec)
+    add_mark(spec, "cube", CUBE_EDGE)
+
+
 def _exchanged(sim: "Worlds") -> np.ndarray:
     way = sim.pose("cube")[:, :2, 3] - sim.start_pose("cube")[:, :2, 3]
     left = poses.heading(sim.pose("pelvis"))[:, :2, 1]
@@ -42,6 +47,7 @@ TASK = Task(
     hands="gripper",
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    wide_form=WideForm(build=_build_marked, objects=(ObjectSpec(name="cube", position=CUBE_POSITION),)),
     success=_exchanged,
     failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task, dropped
+from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_mark, add_round_table
+from gym_demohlm.task import ObjectSpec, Task, WideForm, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
@@ -33,6 +33,11 @@ def _build(spec: mujoco.MjSpec) -> None:
         spec.geom(name).solimp[:3] = UNYIELDING
 
 
+def _build_marked(spec: mujoco.MjSpec) -> None:
+    _build(spec)
+    add_mark(spec, "cube", CUBE_EDGE)
+
+
 def _held_close(sim: "Worlds") -> np.ndarray:
     p_world_cube = sim.pose("cube")[:, :3, 3]
     lifted = p_world_cube[:, 2] > sim.pose("table")[:, 2, 3] + TABLE_HEIGHT + LIFTED
@@ -46,6 +51,7 @@ TASK = Task(
     hands="gripper",
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    wide_form=WideForm(build=_build_marked, objects=(ObjectSpec(name="cube", position=CUBE_POSITION),)),
     success=_held_close,
     failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",

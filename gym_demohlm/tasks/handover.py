@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task, dropped
+from gym_demohlm.scene.furniture import QUARTER_TURNS, UNYIELDING, add_cube, add_mark, add_round_table
+from gym_demohlm.task import ObjectSpec, Task, WideForm, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
@@ -32,6 +32,11 @@ def _build(spec: mujoco.MjSpec) -> None:
     spec.geom("cube").priority = 2  # on rubber too: it slides onto the palm where it would stick and tip over
 
 
+def _build_marked(spec: mujoco.MjSpec) -> None:
+    _build(spec)
+    add_mark(spec, "cube", CUBE_EDGE)
+
+
 def _handed_over(sim: "Worlds") -> np.ndarray:
     top = sim.pose("cube")[:, 2, 3] + CUBE_EDGE / 2
     below = top < sim.pose("table")[:, 2, 3] + TABLE_HEIGHT
@@ -44,6 +49,7 @@ TASK = Task(
     hands="rubber",
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    wide_form=WideForm(build=_build_marked, objects=(ObjectSpec(name="cube", position=CUBE_POSITION),)),
     success=_handed_over,
     failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_round_table
-from gym_demohlm.task import ObjectSpec, Task, dropped
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_mark, add_round_table
+from gym_demohlm.task import ObjectSpec, Task, WideForm, dropped
 
 if TYPE_CHECKING:
     from gym_demohlm.simulation.worlds import Worlds
@@ -29,6 +29,11 @@ def _build(spec: mujoco.MjSpec) -> None:
     add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS)
 
 
+def _build_marked(spec: mujoco.MjSpec) -> None:
+    _build(spec)
+    add_mark(spec, "cube", CUBE_EDGE)
+
+
 def _pressed(sim: "Worlds") -> np.ndarray:
     near = sim.distance("right_palm", "cube") < PRESS_DISTANCE
     return near & (sim.contact_force("right", "cube") > PRESS_FORCE)
@@ -40,6 +45,7 @@ TASK = Task(
     hands="rubber",
     build=_build,
     objects=(ObjectSpec(name="cube", position=CUBE_POSITION, symmetry=QUARTER_TURNS),),
+    wide_form=WideForm(build=_build_marked, objects=(ObjectSpec(name="cube", position=CUBE_POSITION),)),
     success=_pressed,
     failures={"dropped": dropped("cube", DROP)},
     gaze_target="cube",

@@ -42,7 +42,7 @@ def measure(
         controller: Name, path or hash of the whole-body controller; the default one by default.
     """
     watch, pool = Stopwatch(), make_pool(1)
-    sim = Simulation(task, BLOCK_SIZE, controller=controller, pool=pool)
+    sim = Simulation(task.at(region), BLOCK_SIZE, controller=controller, pool=pool)
     plain = Settings(variation=PLAIN)  # as in all earlier measurements
     attempts = Attempts(task, demonstrations.load(demonstration, task), region, seed, settings=plain, sim=sim)
     attempts.run([0])  # it loads what is loaded once

@@ -9,7 +9,9 @@ libraries.
 import functools
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterable
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,9 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import Task
+from gym_demohlm.task import DEFAULT_REGION, WIDEST, Task
+from gym_demohlm.variation import get_variation
+from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import GENERATION_STREAM, Attempts
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk_velocity
@@ -63,6 +67,13 @@ def _behaviour(name: str) -> str:
     return _digest(content())
 
 
+@functools.cache
+def _varied(name: str, preset: str, region: str) -> str:
+    """Return the digest of what attempts do in other worlds."""
+    task, settings = get_task(name), Settings(variation=DataVariation(variation=preset))
+    return _digest(_attempts(task, _ATTEMPTS, region, settings))
+
+
 def behaviour(task: Task) -> str:
     """Return the digest of what generation does with a task: its starts, and two attempts as they are made by default.
 
@@ -76,6 +87,32 @@ def stamp(task: Task) -> str:
     """Return eight letters that stand for a task's behaviour in results: packaged, or found where they are not."""
     known = packaged()["tasks"].get(task.name)
     return (known or behaviour(task))[:8]
+
+
+def worlds_stamp(task: Task, variation: str, region: str) -> str:
+    """Return what else than its ``stamp`` a result in other worlds than those of R1 to R3 without variation depends on.
+
+    The first eight letters are ``recipe``, the others digest two attempts in such worlds. A group or a strength of a
+    preset has the letters of the whole preset.
+
+    Returns:
+        16 letters; none for plain worlds of R1 to R3, where the stamp says it all.
+
+    Raises:
+        UnknownNameError: There is no such variation or region.
+    """
+    wide = task.region(region).name == WIDEST
+    preset = re.split("[@:]", variation)[0] if get_variation(variation) else PLAIN.variation
+    if preset == PLAIN.variation and not wide:
+        return ""
+    return recipe(preset) + _varied(task.name, preset, WIDEST if wide else DEFAULT_REGION)[:8]
+
+
+@functools.cache
+def recipe(preset: str) -> str:
+    """Return eight letters that change with the ranges of a variation and the numbers by which attempts adapt to it."""
+    ranges, numbers = sorted(get_variation(preset).ranges.items()), astuple(Settings().adaptation)
+    return _digest([repr(ranges).encode(), repr(numbers).encode()])[:8]
 
 
 def packaged() -> dict[str, Any]:
@@ -182,9 +219,11 @@ def _physics() -> Iterable[bytes]:
     sim.close()
 
 
-def _attempts(task: Task, count: int) -> Iterable[bytes]:
-    """Yield what attempts of a task come to as `demohlm generate` makes them: packaged demonstration, R3, seed 0."""
-    attempts = Attempts(task, demonstrations.load(None, task), "R3", 0, num_worlds=count, settings=Settings())
+def _attempts(
+    task: Task, count: int, region: str = DEFAULT_REGION, settings: Settings | None = None
+) -> Iterable[bytes]:
+    """Yield what attempts of a task come to as `demohlm generate` makes them: packaged demonstration, seed 0."""
+    attempts = Attempts(task, demonstrations.load(None, task), region, 0, count, settings or Settings())
     try:
         for episode in attempts.run(range(count)):
             yield f"{episode.digest} {episode.outcome} {episode.stage} {GENERATION_STREAM}".encode()

@@ -114,7 +114,7 @@ def mismatches(facts: dict[str, Any], task: Task, controller: str | None = None)
     weights = controllers.load(controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT)
     now = {
         "controller": weights.hash,
-        "model": provenance.model_hash(build_scene(task, weights.settings.physics).model),
+        "model": provenance.model_hash(build_scene(task.at(facts["region"]), weights.settings.physics).model),
         "code": provenance.code_hash(),
         **installed_versions(),
     }
@@ -235,7 +235,7 @@ class _Bench:
 
     def __init__(self, request: _Request, task: Task, num_worlds: int) -> None:
         self._request, self._task, self._num_worlds = request, task, num_worlds
-        self._sims: dict[tuple[str, str], Simulation] = {}  # by controller and variation
+        self._sims: dict[tuple[str, str, str], Simulation] = {}  # by controller, variation and region
 
     def check(self, batch: Sequence[int]) -> list[Difference]:
         """Check the episodes of one batch; returns the first difference of each that has one, by episode."""
@@ -266,7 +266,8 @@ class _Bench:
         root = self._request.root
         if origin.is_edited(root) or not PictureFacts.read(read_facts(root)).cameras:
             return None
-        return PictureCheck(root, self._task, read_facts(root))
+        facts = read_facts(root)
+        return PictureCheck(root, self._task.at(facts["region"]), facts)
 
     def _by_run(self, entries: Sequence[StoredEpisode]) -> list[tuple[dict[str, Any], list[StoredEpisode]]]:
         """Return the facts of each run that episodes come from, and these episodes."""
@@ -281,10 +282,11 @@ class _Bench:
 
     def _sim(self, facts: dict[str, Any]) -> Simulation:
         name = self._request.controller or controllers.recorded(facts.get("controller_hash")) or controllers.DEFAULT
-        key = name, DataVariation.read(facts).variation
+        key = name, DataVariation.read(facts).variation, facts["region"]
         if key not in self._sims:
             varied = get_variation(key[1])
-            self._sims[key] = Simulation(self._task, self._num_worlds, controller=name, variation=varied)
+            task = self._task.at(facts["region"])
+            self._sims[key] = Simulation(task, self._num_worlds, controller=name, variation=varied)
         return self._sims[key]
 
     def _generate(self, facts: dict[str, Any], entries: Sequence[StoredEpisode]) -> list[Difference | None]:

@@ -106,7 +106,8 @@ def parse(options: type, verb: Verb, arguments: list[str]) -> Any:  # noqa: ANN4
         raise UsageError(wrong, verb.name) from None
     sys.stderr.write(said.getvalue())
     for flag in flags:
-        if flag.several and getattr(found, flag.name.removeprefix("--").replace("-", "_")) == ():
+        empty = flag.several and getattr(found, flag.name.removeprefix("--").replace("-", "_")) == ()
+        if empty and flag.name in given:
             raise UsageError(f"no value after {flag.name}", verb.name)
     return found
 

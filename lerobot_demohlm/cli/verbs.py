@@ -285,6 +285,12 @@ VERBS = (
         example="demohlm benchmark perturbed --tasks LiftBox --num-operators 2",
     ),
     Verb(
+        name="benchmark feedback",
+        group="benchmarks",
+        help="measure what generation loses without its feedback, as the paper replays, and without symmetry",
+        example="demohlm benchmark feedback --tasks LiftBox --variations none",
+    ),
+    Verb(
         name="benchmark robustness",
         group="benchmarks",
         help="measure a policy's success in worlds that vary, one group of factors at a time, at three strengths",

@@ -5,6 +5,7 @@ from typing import Any
 
 from lerobot_demohlm.experiments.lines import Measurement, Result
 from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
 from lerobot_demohlm.experiments.tables import EARLIER, markdown
 
 
@@ -217,6 +218,8 @@ def _lint(lines: Sequence[Measurement]) -> str:
 
 MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = (
     ("lint.jsonl", "Checks of the tasks", _lint),
+    ("variation.jsonl", "Worlds that vary", variation_table),
+    ("feedback.jsonl", "What the closed loop is worth", feedback_table),
     ("generation_time.jsonl", "Time of generation", _time),
     ("controller.jsonl", "Whole-body controller", _controller),
     ("robustness.jsonl", "Robustness of the controller", _robustness),

@@ -27,6 +27,7 @@ from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.eyes import open_sight, seen_objects
+from lerobot_demohlm.generation.fitting import fitted
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
@@ -137,11 +138,11 @@ class Attempts:
     ) -> None:
         self._on_step = on_step or (lambda _: None)
         self._on_command = on_command or (lambda _attempt, _command: None)
-        self.task, self.demonstration, self.region, self.seed = task, demonstration, region, seed
-        self.settings = settings or Settings()
-        self._segments: list[Segment] = segment(demonstration, task, task.is_scattered(region))
+        self.task, self.region, self.seed = task.at(region), region, seed
+        self.demonstration, self.settings = fitted(demonstration, self.task), settings or Settings()
+        self._segments: list[Segment] = segment(self.demonstration, self.task, task.is_scattered(region))
         variation = get_variation(self.settings.variation.variation)
-        self._sim = sim or Simulation(task, num_worlds, controller=controller, variation=variation)
+        self._sim = sim or Simulation(self.task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
         self._sight = open_sight(self._sim, self.settings.variation.perception)
         self.ik = WholeBodyIK(self._sim.model)
@@ -289,6 +290,8 @@ class Attempts:
         off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
         placement = replace(chosen, goal=poses.to_planar(poses.planar(*goal) @ poses.planar(*off)))
         attempt.placement = placement
+        if self.task.turns_away(self.region):
+            yield from stages.go_around(world, self.task, placement.goal, self.settings.walking)
         yield from stages.locomotion(world, placement.goal, self.settings.walking)
         playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)
         attempt.playback, attempt.stage = playback, playback.stage

@@ -27,6 +27,8 @@ from lerobot_demohlm.generation.stages import (
 )
 from lerobot_demohlm.generation.world_view import WorldView
 
+NO_HIGHER_M = 0.005  # above the demonstrated height, up to which a thing began there
+
 
 @dataclass(frozen=True, kw_only=True)
 class Started:
@@ -89,6 +91,7 @@ class Playback:
         self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
+        self._since = np.eye(4)  # from the demonstrated floor plane to this one, frozen when a part begins
         self._base_path = BasePath(demonstration, self.settings)
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
         share = settings.adaptation.squeeze if settings.adapts else 0.0
@@ -106,6 +109,8 @@ class Playback:
             if closing:
                 yield from self._settle(tick, closing)
             starting = [group for group in self._groups if group[0].start == tick]
+            if starting:
+                self._since = self._floor(self.world.pose("pelvis")) @ poses.invert(self._floor_d(tick))
             for group in starting:
                 self._start(group)
             if any(entry.kind == "object" for group in starting for entry in group) or tick == 0:
@@ -119,7 +124,7 @@ class Playback:
                 continue
             self._steer(tick)
             self.activity = "follow"
-            yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self.world.pose("pelvis")))
+            yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self._pelvis(tick)))
             if self._base_path.ends(tick):
                 yield from self._walk_on(tick)
             if closing:
@@ -182,6 +187,7 @@ class Playback:
             if first.anchor == "body":
                 way = np.concatenate([last_d[None], demonstrated])
                 path = retarget.carried_targets(way, T_W_Rd, T_W_R)
+                path[..., 2, 3] += self._raised(first.object)
                 targets = retarget.bring(last, path, retarget.progress(way))[1:]
                 self._note(group, T_W_Rd, T_W_R)
             else:
@@ -191,6 +197,33 @@ class Playback:
                 self._note(group, anchors_d, anchors)
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
             self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
+
+    def _pelvis(self, tick: int) -> np.ndarray:
+        """Return the pose (4, 4) from which commands of a tick are found; its height and tilt are always measured."""
+        measured = self.world.pose("pelvis")
+        if self.settings.watches_base:
+            return measured
+        return self._since @ self._floor_d(tick) @ poses.invert(self._floor(measured)) @ measured
+
+    def _floor_d(self, tick: int) -> np.ndarray:
+        """Return the demonstrated base (4, 4) on the floor plane."""
+        return self._floor(self.demonstration.T_world_pelvis[tick])
+
+    @staticmethod
+    def _floor(T_world_pelvis: np.ndarray) -> np.ndarray:
+        return poses.planar(*poses.to_planar(T_world_pelvis))
+
+    def _raised(self, name: str | None) -> float:
+        """Return how much higher a thing began than in the demonstration [m]: so much higher it is taken, too.
+
+        A lift that ended at the demonstrated height would be too short. From lower down it ends there nonetheless, as
+        the robot cannot carry things at its knees. Differences below 5 mm are none: things settle.
+        """
+        if name is None:
+            return 0.0
+        began = self.demonstration.T_world_objects[0, self._names.index(name), 2, 3]
+        higher = float(self.world.start_pose(name)[2, 3] - began)
+        return higher if higher > NO_HIGHER_M else 0.0
 
     def _note(self, group: tuple[Segment, ...], then: np.ndarray, now: np.ndarray) -> None:
         shape = (len(group), 4, 4)
@@ -218,7 +251,7 @@ class Playback:
             here = next(entry for entry in self._tracks[side] if entry.start <= tick < entry.stop)
             if here.anchor == "base" and here.kind == "proprioception":
                 demonstrated = self.demonstration.T_world_targets[tick, hand]
-                T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[tick], self.world.pose("pelvis")
+                T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[tick], self._pelvis(tick)
                 carried = retarget.carried_targets(demonstrated, T_W_Rd, T_W_R)
                 self._targets[tick, hand] = carried @ self._held_on_base[hand]
 
@@ -233,7 +266,7 @@ class Playback:
         """Walk what is left of a walk that ends with this tick."""
         self.activity = "walk on"
         for _ in range(self.settings.arrive_ticks):
-            velocity = self._base_path.remaining_velocity(tick, self.world.pose("pelvis"))
+            velocity = self._base_path.remaining_velocity(tick, self._pelvis(tick))
             if velocity is None:
                 return
             self._follow_base(tick)
@@ -341,7 +374,7 @@ class Playback:
     def _command(self, targets: np.ndarray, tick: int, velocity: np.ndarray | None = None) -> np.ndarray:
         pressing = self._squeeze.tighten(targets, tick)
         solution = self.world.ik.solve(
-            T_world_pelvis=self.world.pose("pelvis"),
+            T_world_pelvis=self._pelvis(tick),
             joint_positions=self.world.joint_positions(),
             T_world_left=pressing[0],
             T_world_right=pressing[1],

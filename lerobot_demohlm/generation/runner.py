@@ -70,7 +70,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         from lerobot_demohlm.generation.painting import Painter  # loads a graphics library
 
         Painter(
-            task, pictures, get_variation(request.variation.variation)
+            task.at(request.region), pictures, get_variation(request.variation.variation)
         ).close()  # fails now where there is nothing to draw with
     facts = GenerationFacts(
         task=task.name,
@@ -79,7 +79,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         seed=request.seed,
         demonstration_hash=demonstration.content_hash,
         controller_hash=weights.hash,
-        model_hash=provenance.model_hash(build_scene(task, weights.settings.physics).model),
+        model_hash=provenance.model_hash(build_scene(task.at(request.region), weights.settings.physics).model),
         num_episodes=request.num_episodes,
         num_attempts=request.num_attempts,
         block_size=request.block_size,
@@ -196,7 +196,7 @@ class BlockMaker:
         from lerobot_demohlm.generation.painting import Painter
 
         varied = get_variation(self.facts.variation.variation)
-        return Painter(get_task(self.facts.task), self.facts.pictures, varied)
+        return Painter(get_task(self.facts.task).at(self.facts.region), self.facts.pictures, varied)
 
     @functools.cached_property
     def _attempts(self) -> Attempts:

@@ -18,12 +18,13 @@ from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
-from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear
+from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear, way_around
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
 from lerobot_demohlm.generation.world_view import WorldView
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
 STAGES = (LOCOMOTION, PRE_MANIPULATION, MANIPULATION)
+PASSING_M = 0.15  # that a robot keeps from a table on its way past it, beyond the distance from which it acts there
 STANCE_STREAM = 2  # first number of its seed sequences, as GENERATION_STREAM is of initial states
 STANCE_RANGES = np.array([[-0.05, 0.02], [-0.04, 0.04], [-0.08, 0.08]])  # m, m, rad: back rather than into a table
 
@@ -53,6 +54,8 @@ class PlaybackSettings:
         arrive_ticks: Largest number of ticks to walk on where the end of a walk is further away than ``arrive_m``.
         displaced_m: Distance from which on an object that moved before the hands took it counts as run into.
         final_ticks: Ticks to hold the last command after the demonstration has ended.
+        watches_base: Whether commands are found for where the base is at each tick. Otherwise it is looked at when a
+            part of the motion begins, and thought to move as demonstrated from then on.
         delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
     """
 
@@ -72,6 +75,7 @@ class PlaybackSettings:
     arrive_ticks: int = 25
     displaced_m: float = 0.06
     final_ticks: int = 5
+    watches_base: bool = True
     delicate_ticks: tuple[int, int] = (10, 5)
 
 
@@ -245,6 +249,22 @@ def locomotion(world: WorldView, goal: np.ndarray, settings: LocomotionSettings)
             f"{settings.accept_m:g} m and {np.degrees(settings.accept_rad):.0f} deg)",
             again=True,
         ) from None
+
+
+def go_around(world: WorldView, task: Task, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
+    """Walk to where a way around the first support bends, if the straight one to (x, y, yaw) leads through it."""
+    if not task.supports:
+        return
+    centre, here = world.pose(task.supports[0])[:2, 3], world.pose("pelvis")[:2, 3]
+    distance = float(norm(goal[:2] - centre))
+    clear = distance + PASSING_M
+    before_it = centre + clear / distance * (goal[:2] - centre)  # from there it steps in
+    bend = way_around(here, before_it, centre, clear)
+    if bend is None:
+        return
+    passing = replace(settings, max_walks=1, tolerance_m=0.15, tolerance_rad=0.6, settle_ticks=0, straight=True)
+    with contextlib.suppress(OffCourseError):  # from near it, the way on is clear too
+        yield from walk(lambda: world.pose("pelvis"), np.append(bend, goal[2]), passing)
 
 
 def step_back(world: WorldView, settings: RetreatSettings) -> Iterator[np.ndarray]:

@@ -137,7 +137,9 @@ def generated_take(
     (episode,) = attempts.run([index])
     attempts.close()
     origin = f"{region}, seed {seed}, attempt {index}"
-    return Take(task=task, snapshots=snapshots, origin=origin, outcome=episode.outcome, length_s=episode.length_s)
+    return Take(
+        task=attempts.task, snapshots=snapshots, origin=origin, outcome=episode.outcome, length_s=episode.length_s
+    )
 
 
 def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
@@ -160,7 +162,7 @@ def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
     (rollout,) = rollouts(load_policy(policy, task.name), setting, [seed], on_step=keep)
     origin = f"{rollout.policy}, {region}, seed {seed}"
     return Take(
-        task=task,
+        task=task.at(region),
         snapshots=snapshots,
         origin=origin,
         outcome=rollout.outcome,

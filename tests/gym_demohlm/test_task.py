@@ -15,7 +15,7 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task, register_task
 from gym_demohlm.robot import g1
 from gym_demohlm.scene import build_scene
-from gym_demohlm.task import REGIONS, ObjectSpec, Region, Task, limit_yaw
+from gym_demohlm.task import REGIONS, ObjectSpec, Region, Task, WideForm, limit_yaw
 from tests.helpers.hold import HoldController
 
 TASKS = sorted(all_tasks())
@@ -49,6 +49,43 @@ def test_the_widest_region_reaches_further_in_every_way() -> None:
     assert -0.1 <= state["object_x"][0] <= 0.1
     assert get_task("PushCart").region("R4").object_z[1] == 0.05
     assert get_task("OpenCabinet").region("R4").object_yaw == (-math.pi / 4, math.pi / 4)
+
+
+OBLONG, MARKED = {"LiftBox", "CarryBox"}, {"GraspCube", "PressCube", "Handover", "ExchangeCube"}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_what_has_a_front_in_the_widest_region(name: str) -> None:
+    """The paper's regions keep their task; in R4 boxes have two lengths and cubes a mark, and neither are symmetric."""
+    task = get_task(name)
+    assert all(task.at(region) is task for region in task.regions)
+    wide = task.at("R4")
+    assert (wide is task) == (name not in OBLONG | MARKED)
+    if wide is task:
+        return
+    thing, turns = wide.objects[0], 2 if name in OBLONG else 1
+    assert isinstance(thing.symmetry, tuple) and len(thing.symmetry) == turns < len(task.objects[0].symmetry)
+    assert wide.at("R4") is wide and wide.region("R4") == task.region("R4")
+    with pytest.raises(UnknownNameError, match="R3"):
+        wide.sample("R3", np.random.default_rng(0))
+    plain, other = build_scene(task), build_scene(wide)
+    half, own = (scene.physics.geom(thing.name).size for scene in (plain, other))
+    if name in OBLONG:
+        assert thing.resized is not None
+        assert tuple(2 * half) == pytest.approx(thing.resized[0]) and tuple(2 * own) == pytest.approx(thing.resized[1])
+        assert own[0] < half[0] < own[1] and own[2] == half[2]
+    else:  # a mark is seen and nothing else
+        assert other.model.ngeom > plain.model.ngeom and other.physics.ngeom == plain.physics.ngeom
+        np.testing.assert_array_equal(other.physics.body_mass, plain.physics.body_mass)
+        np.testing.assert_array_equal(other.physics.body_inertia, plain.physics.body_inertia)
+        np.testing.assert_array_equal(other.physics.geom_size, plain.physics.geom_size)
+
+
+def test_a_wide_form_names_its_objects_as_the_task_does() -> None:
+    task = get_task("LiftBox")
+    form = WideForm(build=task.build, objects=(ObjectSpec(name="crate", position=(0.3, 0.0, 0.3)),))
+    with pytest.raises(SceneError, match="crate"):
+        dataclasses.replace(task, wide_form=form)
 
 
 def test_things_with_a_spread_are_placed_each_by_itself() -> None:

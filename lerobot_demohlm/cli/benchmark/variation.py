@@ -31,14 +31,14 @@ class Options:
 def run(options: Options) -> None:
     """Measure what is missing and print the table in Markdown."""
     from gym_demohlm.registry import all_tasks, get_task
-    from lerobot_demohlm.benchmarks.variation import PROBES, measure, table
+    from lerobot_demohlm.benchmarks.variation import PROBES, measure
+    from lerobot_demohlm.experiments.lines import read_measurements
+    from lerobot_demohlm.experiments.probe_tables import variation_table
 
     names = options.tasks or tuple(all_tasks())
     tasks = [get_task(name) for name in names]
     variations = options.variations or PROBES
     path = options.results / "variation.jsonl"
-    lines = []
     for line in measure(tasks, variations, options.num_attempts, path, options.region):
         print(f"{line.task} {line.variation}: {line.successes} of {line.attempts} {line.reasons}", flush=True)
-        lines.append(line)
-    print(table(lines))
+    print(variation_table([line for line in read_measurements(path) if line["task"] in names]))

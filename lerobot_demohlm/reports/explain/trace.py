@@ -195,8 +195,8 @@ def trace(
     forces = [] if running is None else running.contact_forces
     collisions = [] if running is None else running.collision_forces
     return Trace(
-        task=task,
-        demonstration=demonstration,
+        task=attempts.task,
+        demonstration=attempts.demonstration,
         episode=episode,
         placement=None if running is None else running.placement,
         started=started,

@@ -104,3 +104,14 @@ def test_the_feature_table() -> None:
     assert len(names) == OBJECT_SIZE
     assert names[:4] == ["box_x.pos", "box_y.pos", "box_z.pos", "box_r11.pos"]
     assert names[-1] == "box_r32.pos"
+
+
+@pytest.mark.parametrize(("name", "turn"), [("LiftBox", math.pi / 2), ("GraspCube", math.pi)])
+def test_a_turn_shows_in_the_widest_region_alone(name: str, turn: float) -> None:
+    for region, shows in (("R3", False), ("R4", True)):
+        task = get_task(name).at(region)
+        sim = Simulation(task, 2, controller=HoldController(2))
+        sim.reset([{"robot": [-0.5, 0.0, 0.0], "object": [0.0, 0.0, 0.2 + yaw]} for yaw in (0.0, turn)])
+        straight, turned = environment_state(sim)
+        assert (np.abs(straight - turned).max() > 0.1) == shows
+        sim.close()

@@ -118,6 +118,13 @@ def test_every_flag_of_before_is_there() -> None:
     assert count == 174
 
 
+@pytest.mark.parametrize("name", ["benchmark variation", "benchmark feedback", "benchmark perturbed"])
+def test_what_need_not_be_given_is_left_out(name: str) -> None:
+    """Also options of which several values may follow."""
+    verb = next(verb for verb in VERBS if verb.name == name)
+    assert parse(options_of(verb), verb, []) == options_of(verb)()
+
+
 def test_help_is_quick() -> None:
     """Neither the verbs nor the options of any of them take the seconds that importing torch and lerobot takes."""
     code = (

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from gym_demohlm import poses
+from gym_demohlm.control import command
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.demonstrations.demonstration import load
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear, way_around
-from lerobot_demohlm.generation.stages import clear_stance
+from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk
+from lerobot_demohlm.generation.stages import clear_stance, go_around
 from lerobot_demohlm.generation.world_view import WorldView
 from tests.helpers.hold import HoldController
 
@@ -78,3 +80,38 @@ def test_a_way_that_bends_keeps_clear(seed: int) -> None:
     assert nearest > 0.38 - 1e-6
     mirrored = way_around(goal, start, TABLE, 0.38)
     assert mirrored == pytest.approx(bend) if bend is not None else mirrored is None
+
+
+class Walker:
+    """Stands in for a world: a base that obeys every velocity at once, beside a table."""
+
+    def __init__(self, start: np.ndarray) -> None:
+        self.base, self.path = start, [start]
+
+    def pose(self, name: str) -> np.ndarray:
+        return poses.planar(*TABLE, 0.0) if name == "table" else poses.planar(*self.base)
+
+    def step(self, velocity: np.ndarray) -> None:
+        self.base = poses.to_planar(poses.planar(*self.base) @ poses.planar(*(0.1 * velocity)))
+        self.path.append(self.base)
+
+
+@pytest.mark.parametrize("yaw", [-2.9, -1.8, 2.0, 3.1])
+def test_a_robot_walks_around_a_table_to_a_place_behind_it(yaw: float) -> None:
+    goal = poses.to_planar(poses.planar(*TABLE, yaw) @ poses.planar(-0.4, 0.0, 0.0))
+    walker = Walker(np.array([-0.7, 0.1, 0.0]))
+    settings = LocomotionSettings()
+    legs = (go_around(walker, get_task("GraspCube"), goal, settings), walk(lambda: walker.pose("pelvis"), goal))  # type: ignore[arg-type]
+    for leg in legs:
+        for wanted in leg:
+            walker.step(wanted[command.VELOCITY])
+    path = np.array(walker.path)
+    assert math.dist(path[-1, :2], goal[:2]) < settings.accept_m
+    assert np.hypot(*(path[:, :2] - TABLE).T).min() > 0.35
+
+
+def test_nothing_is_walked_around_on_a_clear_way() -> None:
+    walker = Walker(np.array([-0.7, 0.1, 0.0]))
+    before = poses.to_planar(poses.planar(*TABLE, 0.3) @ poses.planar(-0.4, 0.0, 0.0))
+    assert not list(go_around(walker, get_task("GraspCube"), before, LocomotionSettings()))  # type: ignore[arg-type]
+    assert not list(go_around(walker, get_task("OpenCabinet"), np.array([1.5, 0, 0]), LocomotionSettings()))  # type: ignore[arg-type]

@@ -51,6 +51,9 @@ class FakeWorld:
             return self.demonstration.T_world_pelvis[0]
         return self.shift @ self.demonstration.T_world_objects[0, self.names.index(name)]
 
+    def start_pose(self, name: str) -> np.ndarray:
+        return self.pose(name)
+
     def command(self) -> np.ndarray:
         return self.last
 
@@ -115,6 +118,37 @@ def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
     steps = np.linalg.norm(np.diff(np.array(way)[:, :3, 3], axis=0), axis=-1)
     demonstrated = np.linalg.norm(np.diff(demonstration.T_world_targets[: approach.stop, 1, :3, 3], axis=0), axis=-1)
     assert steps.max() < demonstrated.max() + 0.02  # m a tick
+
+
+@pytest.mark.parametrize(("raised", "higher"), [(-0.1, 0.0), (0.0, 0.0), (0.15, 0.15)])
+def test_what_is_taken_higher_up_is_lifted_higher(raised: float, higher: float) -> None:
+    """From lower down it ends where the demonstrated lift did: at the body."""
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    still = Settings(playback=PlaybackSettings(steering_gain=0.0), grip=GripSettings(settle_ticks=0))
+    made = playback(FakeWorld(demonstration, 10.0, raised), still)
+    for _ in made.run():
+        pass
+    ended = made.last_targets[1, 2, 3] - demonstration.T_world_targets[-1, 1, 2, 3]
+    assert ended == pytest.approx(higher, abs=1e-9)
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_a_base_that_is_not_watched_is_thought_to_move_as_demonstrated(watched: bool) -> None:
+    """A push that moves the robot aside moves its hands with it where nobody looks."""
+    demonstration = demonstrations.load(task=get_task("LiftBox"))
+    made = playback(world := FakeWorld(demonstration), Settings(playback=PlaybackSettings(watches_base=watched)))
+    seen: list[np.ndarray] = []
+    world.ik = SimpleNamespace(
+        solve=lambda T_world_pelvis, **targets: seen.append(T_world_pelvis[:2, 3]) or world.solve(**targets)
+    )
+    pushed = poses.planar(0.0, 0.05, 0.0)
+    for index, _ in enumerate(made.run()):
+        if index == 5:
+            world.pose = lambda name: (pushed if name == "pelvis" else np.eye(4)) @ FakeWorld.pose(world, name)
+        if made.tick == 15:
+            break
+    moved = seen[-1] - (FakeWorld.pose(world, "pelvis") if watched else demonstration.T_world_pelvis[15])[:2, 3]
+    np.testing.assert_allclose(moved, [0.0, 0.05 if watched else 0.0], atol=1e-9)
 
 
 def test_hands_go_to_a_motion_first_where_it_leaves_no_time() -> None:
