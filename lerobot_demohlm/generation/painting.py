@@ -174,8 +174,8 @@ class Painter:
             if key not in writers:
                 columns[key] = frames
                 continue
-            for frame in frames:
-                writers[key].add(frame)
+            for step, frame in enumerate(frames):
+                writers[key].add(frame, key=step == 0)
             depth = frames.ndim == 3
             shown = np.clip(frames, videos.DEPTH_MIN, videos.DEPTH_MAX) if depth else frames
             found = get_feature_stats(videos.sampled(shown), axis=(0, 2, 3), keepdims=True)

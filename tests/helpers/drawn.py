@@ -27,13 +27,13 @@ def write_drawn(root: Path, num_episodes: int = 2, size: int = 64, streams: tupl
         }
         for episode in episodes:
             length = len(episode.success)
-            for _ in range(length):
+            for step in range(length):
                 pictures = {
                     "rgb": rng.integers(0, 255, (size, size, 3), dtype=np.uint8),
                     "depth": rng.uniform(0.2, 3.0, (size, size)).astype(np.float32),
                 }
                 for stream, writer in writers.items():
-                    writer.add(pictures[stream])
+                    writer.add(pictures[stream], key=step == 0)
             stats = {}
             for stream, channels, mean in (("rgb", 3, 0.5), ("depth", 1, 1.6)):
                 if stream in writers:
