@@ -21,6 +21,8 @@ DEPTH_MIN, DEPTH_MAX = 0.1, 4.195
 smallest; what is farther, the largest."""
 _CODES = 4095
 _GOP = 2
+_DEPTH_ENCODER = "lossless=1:bframes=0:pools=none:frame-threads=1:log-level=none:ctu=16:rc-lookahead=0:scenecut=0"
+"""Small blocks and no look-ahead: two thirds of the time for files that are 1 % larger; decoded depths are the same."""
 TOLERANCE = 12.0
 """Of 255: mean deviation of a colour frame from what was drawn, by compression; smooth frames show up to 4."""
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -81,7 +83,7 @@ class VideoWriter:
         self._file = av.open(str(path), "w")
         options = {"g": str(_GOP), "threads": "1", "bf": "0", "forced-idr": "1"}
         if depth:
-            options["x265-params"] = "lossless=1:bframes=0:pools=none:frame-threads=1:log-level=none"
+            options["x265-params"] = _DEPTH_ENCODER
             options["preset"] = "ultrafast"
         else:
             options |= {"crf": "20", "preset": "veryfast"}
