@@ -1,7 +1,7 @@
 """Attempts at a task with and without pictures, in turns -> what pictures cost of a worker's CPU time, and where.
 
 All that a worker does with a block is counted, in all of its threads: attempts, drawing, encoding, and writing the
-successes as a LeRobot dataset. What a worker does once is not.
+successes as a LeRobot dataset. What a worker does once is not: compiling the scene, opening the graphics library.
 """
 
 import tempfile
@@ -13,7 +13,6 @@ from typing import Any
 from gym_demohlm.simulation import Simulation, make_pool
 from gym_demohlm.task import Task
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
-from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.datasets.writer import write_dataset
@@ -46,7 +45,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, cameras: Sequ
     painter = Painter(task, PictureFacts.of(cameras, light=0.0, texture=0.0, camera_shift=0.0))
     plain.run([0])  # it loads what is loaded once
     watch.watch(painter, "frames", "drawing")
-    watch.watch(videos.VideoWriter, "add", "encoding")
+    watch.watch(painter, "paint", "painting")  # drawing, encoding and statistics
     spent, frames, successes = {"states": 0.0, "pictures": 0.0}, 0, 0
     with tempfile.TemporaryDirectory() as scratch:
         for first in range(0, num_attempts, BLOCK_SIZE):
