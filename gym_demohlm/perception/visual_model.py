@@ -193,6 +193,27 @@ class VisualModel:
         self._draw(window, (), colors, None)
         return colors[::-1]
 
+    def rgb_and_depth(self) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the whole image's colours (height, width, 3) uint8 and depth (height, width) float32 [m].
+
+        They are those of ``rgb`` and ``depth_and_ids``, but for the depth of the sky, which is farther than all things.
+        One pass gives both, unless something that is drawn is transparent: colours leave its depth out in part.
+        """
+        window = whole(self.intrinsics)
+        if self._transparent():
+            return self.rgb(), self.depth_and_ids().depth
+        colors = np.empty((window.height, window.width, 3), np.uint8)
+        depth = np.empty((window.height, window.width), np.float32)
+        self._draw(window, (), colors, depth)
+        return colors[::-1], self._metres(depth)[::-1]
+
+    def _transparent(self) -> bool:
+        """Tell whether a geom that may be drawn lets light through."""
+        model = self.model
+        opacity = np.append(model.mat_rgba[:, 3], 1.0)[model.geom_matid]  # of no material: the last
+        partly = [(0.0 < alpha) & (alpha < 1.0) for alpha in (model.geom_rgba[:, 3], opacity)]
+        return bool((np.logical_or(*partly) & (self._groups < _DRAWN_GROUPS)).any())
+
     def _draw(
         self, window: Window, hidden: Sequence[int] | np.ndarray, colors: np.ndarray, depth: np.ndarray | None
     ) -> None:

@@ -186,6 +186,12 @@ VERBS = (
         example="demohlm benchmark generation --task LiftBox --region R2 --num-attempts 16",
     ),
     Verb(
+        name="benchmark pictures",
+        group="benchmarks",
+        help="measure what pictures add to the CPU time of attempts",
+        example="demohlm benchmark pictures --task GraspCube",
+    ),
+    Verb(
         name="benchmark dataset",
         group="benchmarks",
         help="measure how many episodes a second are written, by LeRobot's writer too, and the memory of a long run",

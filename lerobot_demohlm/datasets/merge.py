@@ -24,7 +24,8 @@ from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.episode import Episode, executed_of
 from lerobot_demohlm.datasets.facts import GenerationFacts
-from lerobot_demohlm.datasets.pictures import DrawnBlock, DrawnEpisode, is_drawn, is_video, video_file, write_modality
+from lerobot_demohlm.datasets.modality import write_modality
+from lerobot_demohlm.datasets.pictures import DrawnBlock, DrawnEpisode, is_drawn, is_video, video_file
 from lerobot_demohlm.datasets.writer import NEXT_SUCCESS, data_file, episodes_file, read_arrays, write_dataset
 from lerobot_demohlm.reproducibility import fingerprint
 

@@ -1,6 +1,5 @@
 """What was drawn of a block's episodes <-> columns, statistics and files of a LeRobot dataset."""
 
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -96,26 +95,11 @@ def is_video(feature: Mapping[str, Any]) -> bool:
     return feature["dtype"] == "video"
 
 
+def is_depth(feature: Mapping[str, Any]) -> bool:
+    """Tell whether an entry of the table of features is a video of depths."""
+    return is_video(feature) and bool(feature["info"]["is_depth_map"])
+
+
 def is_drawn(key: str, feature: Mapping[str, Any]) -> bool:
     """Tell whether an entry of the table of features is there because of a camera."""
     return is_video(feature) or key.startswith("camera.")
-
-
-def write_modality(root: Path, features: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write ``meta/modality.json``, by which GR00T knows what the columns are.
-
-    Args:
-        root: Of the dataset.
-        features: Its table of features.
-    """
-    whole = {"observation.state": "state", "observation.environment_state": "environment_state"}
-    content: dict[str, Any] = {"state": {}, "action": {}, "video": {}, "annotation": {}}
-    for key, name in whole.items():
-        size = features[key]["shape"][0]
-        content["state"][name] = {"start": 0, "end": size, "original_key": key}
-    content["action"]["command"] = {"start": 0, "end": features["action"]["shape"][0], "original_key": "action"}
-    for key, feature in features.items():
-        if is_video(feature):
-            content["video"][key.removeprefix("observation.images.")] = {"original_key": key}
-    content["annotation"]["human.task_description"] = {"original_key": "task_index"}
-    (root / "meta" / "modality.json").write_text(json.dumps(content, indent=2) + "\n")

@@ -27,7 +27,8 @@ from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets import origin
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import ROBOT_TYPE, GenerationFacts, require_new_root
-from lerobot_demohlm.datasets.pictures import DrawnBlock, is_video, write_modality
+from lerobot_demohlm.datasets.modality import write_modality
+from lerobot_demohlm.datasets.pictures import DrawnBlock, is_video
 from lerobot_demohlm.datasets.statistics import episode_stats
 from lerobot_demohlm.datasets.wordings import wordings
 

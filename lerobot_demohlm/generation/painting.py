@@ -124,11 +124,13 @@ class Painter:
         visual.place(qpos, mocap[: 3 * count].reshape(-1, 3), mocap[3 * count :].reshape(-1, 4))
         if self._task.memory is not None:
             self._task.memory.draw(visual.model, memory)
-        pictures = {}
-        if "rgb" in camera.streams:
-            pictures[camera.key("rgb")] = visual.rgb()
-        if "depth" in camera.streams:
-            pictures[camera.key("depth")] = visual.depth_and_ids().depth
+        rgb, depth = (camera.key(stream) for stream in ("rgb", "depth"))
+        if set(camera.streams) == {"rgb", "depth"}:
+            pictures = dict(zip((rgb, depth), visual.rgb_and_depth(), strict=True))
+        elif "rgb" in camera.streams:
+            pictures = {rgb: visual.rgb()}
+        else:
+            pictures = {depth: visual.depth_and_ids().depth}
         return pictures, np.concatenate(poses.split(visual.camera_pose())).astype(np.float32)
 
     def frames(
@@ -174,8 +176,8 @@ class Painter:
             if key not in writers:
                 columns[key] = frames
                 continue
-            for frame in frames:
-                writers[key].add(frame)
+            for step, frame in enumerate(frames):
+                writers[key].add(frame, key=step == 0)
             depth = frames.ndim == 3
             shown = np.clip(frames, videos.DEPTH_MIN, videos.DEPTH_MAX) if depth else frames
             found = get_feature_stats(videos.sampled(shown), axis=(0, 2, 3), keepdims=True)

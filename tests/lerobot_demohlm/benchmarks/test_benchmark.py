@@ -117,3 +117,14 @@ def test_writing_is_five_times_as_fast_as_lerobots() -> None:
 def test_a_long_run_keeps_its_memory() -> None:
     found = dataset.measure_memory(160)
     assert found["rss_growth_mb"] < 30.0
+
+
+@pytest.mark.slow
+def test_benchmark_of_pictures_splits_what_they_cost(capsys: pytest.CaptureFixture[str]) -> None:
+    call = ["benchmark", "pictures", "--task", "PressCube", "--region", "R1", "--cameras", "head:32x32:rgb,depth"]
+    assert cli.main([*call, "--num-attempts", "1"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["successes"] == 1 and found["frames"] > 50
+    assert found["ratio"] == pytest.approx(found["cpu_s_with_pictures"] / found["cpu_s_states"], abs=0.01)
+    assert 0.0 < found["drawing_ms_per_frame"] < found["painting_ms_per_frame"]
+    assert cli.main([*call, "--num-attempts", "0"]) == 2

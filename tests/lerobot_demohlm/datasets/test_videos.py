@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from lerobot.configs.video import DepthEncoderConfig, encoder_config_from_video_info
@@ -87,6 +88,18 @@ def test_a_video_is_cut_without_another_loss(tmp_path: Path, kept: int) -> None:
         assert len(cut) == kept
         for mine, expected in zip(cut, videos.read_frames(source), strict=False):
             np.testing.assert_array_equal(mine, expected)
+
+
+def test_an_episode_begins_with_a_key_frame_also_after_one_of_odd_length(tmp_path: Path) -> None:
+    for name, frames in (("rgb", [_color(i) for i in range(9)]), ("depth", [_depth(np.random.default_rng(0))] * 9)):
+        with videos.VideoWriter(tmp_path / f"{name}.mp4", *SIZE, depth=name == "depth") as writer:
+            for index, frame in enumerate(frames):
+                writer.add(frame, key=index in (0, 5))
+        with av.open(str(tmp_path / f"{name}.mp4")) as file:
+            packets = [packet for packet in file.demux(video=0) if packet.pts is not None]
+            keys = [round(float(packet.pts * packet.time_base) * FPS) for packet in packets if packet.is_keyframe]
+        assert {0, 5} <= set(keys) and max(np.diff(keys)) <= 2
+        assert len(list(videos.read_frames(tmp_path / f"{name}.mp4"))) == 9
 
 
 def test_a_damaged_video_is_an_error(tmp_path: Path) -> None:

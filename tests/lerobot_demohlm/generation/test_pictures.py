@@ -1,6 +1,5 @@
 """Datasets with pictures: the same states, the same bytes for any number of workers, pictures of these states."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -45,8 +44,6 @@ def test_lerobot_reads_pictures_depths_and_wordings(root: Path) -> None:
     }  # fmt: skip
     info = dataset.meta.features[RGB]["info"]["intrinsics"]
     assert info["fx"] == pytest.approx(head_intrinsics(96, 96).focal)
-    modality = json.loads((root / "meta" / "modality.json").read_text())
-    assert set(modality) == {"state", "action", "video", "annotation"} and modality["action"]["command"]["end"] == 23
 
 
 def test_the_box_is_in_the_pictures_where_the_states_have_it(root: Path) -> None:

@@ -1,0 +1,45 @@
+"""``demohlm benchmark pictures``."""
+
+import json
+from dataclasses import dataclass
+
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.task import DEFAULT_REGION
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of ``demohlm benchmark pictures``.
+
+    Attributes:
+        task: Name of the task.
+        region: Initial region, R1 to R3.
+        seed: Seed of the run.
+        num_attempts: Attempts.
+        cameras: What is drawn of each, as in generate.
+    """
+
+    task: str = "LiftBox"
+    region: str = DEFAULT_REGION
+    seed: int = 0
+    num_attempts: int = 16
+    cameras: tuple[str, ...] = ("head:96x96:rgb,depth",)
+
+
+def run(options: Options) -> None:
+    """Measure; the last line on stdout is the result as JSON.
+
+    Raises:
+        DatasetError: The number of attempts is not positive, or no camera is named.
+    """
+    from gym_demohlm.registry import get_task
+    from lerobot_demohlm.benchmarks.pictures import measure
+
+    if options.num_attempts < 1 or not options.cameras:
+        raise DatasetError(
+            f"num_attempts={options.num_attempts} and {len(options.cameras)} cameras",
+            "1 or more of both",
+            "correct --num-attempts or --cameras",
+        )
+    task = get_task(options.task)
+    print(json.dumps(measure(task, options.region, options.seed, options.num_attempts, options.cameras)))
