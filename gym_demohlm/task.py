@@ -327,9 +327,6 @@ class Task:
         for side, _ in self.contact_pairs:
             if side not in ("left", "right"):
                 raise UnknownNameError("hand", side, ("left", "right"))
-        if self.wide_form is not None and [entry.name for entry in self.wide_form.objects] != names:
-            others = [entry.name for entry in self.wide_form.objects]
-            raise SceneError(f"objects {others} in the wide form of {self.name}", f"{names}", "name them alike")
         if not self.episode_length_s > 0:
             raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
 
@@ -338,11 +335,15 @@ class Task:
 
         Raises:
             UnknownNameError: The task has no such region.
+            SceneError: Its wide form has other objects.
         """
         found = self.region(region)
         if region != WIDEST or self.wide_form is None:
             return self
         form = self.wide_form
+        got, expected = ([entry.name for entry in entries] for entries in (form.objects, self.objects))
+        if got != expected:
+            raise SceneError(f"objects {got} in the wide form of {self.name}", f"{expected}", "name them alike")
         return replace(self, build=form.build, objects=form.objects, regions={WIDEST: found}, wide_form=None)
 
     def turns_away(self, region: str) -> bool:

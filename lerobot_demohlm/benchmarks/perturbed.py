@@ -172,18 +172,22 @@ def read(path: Path) -> list[PerturbedLine]:
 
 
 def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
-    """Return lines as a Markdown table with a row for each of some tasks."""
-    names = ("task", "demonstrations", "with 95 % or more", "attempts", "success [%]", "lowest [%]", "recordings")
-    rows = [f"| {' | '.join(names)} | of these failed |", "|" + "---|" * (len(names) + 1)]
+    """Return lines as a Markdown table with a row for each of some tasks.
+
+    An operator none of whose recordings was good enough is counted as such; other columns are of the demonstrations.
+    """
+    names = ("task", "operators", "none good enough", "with 95 % or more", "attempts", "success [%]", "lowest [%]")
+    rows = [f"| {' | '.join(names)} | recordings | of these failed |", "|" + "---|" * (len(names) + 2)]
     for task in tasks:
-        found = [line for line in lines if line.task == task and not line.refusal]
+        asked = [line for line in lines if line.task == task]
+        found = [line for line in asked if not line.refusal]
         if not found:
             continue
         attempts, successes = (sum(getattr(line, name) for line in found) for name in ("attempts", "successes"))
         lowest = min(line.successes / line.attempts for line in found)
         tries, without = (sum(getattr(line, name) for line in found) for name in ("tries", "failed"))
         rows.append(
-            f"| {task} | {len(found)} | {sum(line.good for line in found)} | {attempts} "
+            f"| {task} | {len(asked)} | {len(asked) - len(found)} | {sum(line.good for line in found)} | {attempts} "
             f"| {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} | {without} |"
         )
     return "\n".join(rows)

@@ -23,7 +23,7 @@ from lerobot_demohlm.hardware.servo_units import GRIPPERS, NECK, Servo
 BAUD = 1_000_000
 PERIOD_S = 0.02
 _PROTOCOL = 2.0
-_PINGS = 5
+_PINGS = 20
 _POSITION, _VELOCITY = servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY
 
 

@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import dataclass
+from typing import Annotated
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import DEFAULT_REGION
+from lerobot_demohlm.cli.parsing import default
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +25,7 @@ class Options:
     region: str = DEFAULT_REGION
     seed: int = 0
     num_attempts: int = 16
-    cameras: tuple[str, ...] = ("head:96x96:rgb,depth",)
+    cameras: Annotated[tuple[str, ...] | None, default("96 x 96 pixels of the head, colour and depth")] = None
 
 
 def run(options: Options) -> None:
@@ -35,11 +37,12 @@ def run(options: Options) -> None:
     from gym_demohlm.registry import get_task
     from lerobot_demohlm.benchmarks.pictures import measure
 
-    if options.num_attempts < 1 or not options.cameras:
+    cameras = ("head:96x96:rgb,depth",) if options.cameras is None else options.cameras
+    if options.num_attempts < 1 or not cameras:
         raise DatasetError(
-            f"num_attempts={options.num_attempts} and {len(options.cameras)} cameras",
+            f"num_attempts={options.num_attempts} and {len(cameras)} cameras",
             "1 or more of both",
             "correct --num-attempts or --cameras",
         )
     task = get_task(options.task)
-    print(json.dumps(measure(task, options.region, options.seed, options.num_attempts, options.cameras)))
+    print(json.dumps(measure(task, options.region, options.seed, options.num_attempts, cameras)))

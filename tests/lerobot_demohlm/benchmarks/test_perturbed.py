@@ -24,7 +24,7 @@ def test_the_table_counts_what_the_lines_say() -> None:
     refused = replace(LINE, operator=2, successes=0, refusal="no success")
     assert LINE.good and not worse.good and not refused.good
     shown = table([LINE, worse, refused, replace(LINE, task="LiftBox")], ["PressCube", "PushCart"])
-    assert shown.splitlines()[2:] == ["| PressCube | 2 | 1 | 40 | 72.5 | 50 | 3 | 2 |"]
+    assert shown.splitlines()[2:] == ["| PressCube | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |"]
 
 
 def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
