@@ -93,7 +93,7 @@ def serving(task: str, root: Path) -> Iterator[Served]:
     assert made.error is None
 
 
-def wait_for(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
+def wait_for(condition: Callable[[], object], timeout_s: float = 120.0) -> None:
     """Wait until something holds.
 
     Raises:
@@ -136,6 +136,7 @@ def opened(browser: Any, address: str, *scripts: str | Path, small: bool = False
     size = {"width": 480, "height": 320} if small else {"width": 1280, "height": 800}
     context = browser.new_context(viewport=size, bypass_csp=True)  # to evaluate strings
     page = context.new_page()
+    page.set_default_timeout(120_000)  # a busy machine draws slowly
     page.problems = []
     page.on("pageerror", lambda error: page.problems.append(str(error)))
     for script in scripts:
