@@ -119,8 +119,10 @@ class DdsRobot:
 
     def close(self) -> None:
         """Brake the motors."""
-        self.mirror.close()
-        self._deployment.close()
+        try:
+            self._deployment.close()
+        finally:
+            self.mirror.close()
 
     def _stand(self) -> None:
         """Stand up; asks again for as long as something is missing that may still come, such as the servos' answer."""

@@ -33,9 +33,9 @@ def _tables(title: str, lines: Sequence[Measurement], column: str, names: Sequen
         tasks = sorted({task for task, _ in found})
         shown = [name for name in names if any((task, name) in found for task in tasks)]
         rows = [[task, *(_cell(found.get((task, name))) for name in shown)] for task in tasks]
-        note = "Strict successes of so many attempts."
+        note = "A cell is the share of attempts that succeed by the strict judge, and how many attempts there were."
         if any(AGED in cell for row in rows for cell in row):
-            note += " \\* was measured before task, worlds or generator became what they are now."
+            note += " \\* marks what was measured before the task, its worlds or the generator changed."
         parts.append(f"{title}, {region}\n\n{markdown(['task', *map(_code, shown)], rows)}\n\n{note}")
     return "\n\n".join(parts)
 

@@ -8,7 +8,7 @@ from gym_demohlm import poses
 from gym_demohlm.task import Lengths, Task
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 
-PRESSED_M = 0.05  # from this far inside a side on, where a palm is told to be that presses on it, it moves as far
+PRESSED_M = 0.05  # a palm that presses on a side has its target up to this far inside the box
 
 
 def fitted(demonstration: Demonstration, task: Task) -> Demonstration:

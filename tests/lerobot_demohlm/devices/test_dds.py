@@ -57,7 +57,7 @@ def test_actions_of_a_loop_move_the_robot_and_silence_holds_it(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_lerobots_commands_record_and_replay(tmp_path: Path) -> None:
+def test_lerobots_commands_record_replay_and_roll_out(tmp_path: Path) -> None:
     """The scripted operator sees the robot through its mirror alone, and has it lift the box."""
     domain = free_domain()
     process = RobotProcess("LiftBox", domain, tmp_path, ["--near"])
@@ -83,6 +83,17 @@ def test_lerobots_commands_record_and_replay(tmp_path: Path) -> None:
         assert np.abs(states[:, arms] - actions[:, command.ARMS]).mean() < 0.1
         assert [event["outcome"] for event in process.events if event["event"] == "episode"][:1] == ["success"]
         run(tmp_path, "lerobot-replay", *robot, *of_dataset, "--dataset.episode=0", "--play_sounds=false")
+        run(
+            tmp_path, "lerobot-train", *of_dataset, "--policy.type=chunked_mlp", "--policy.device=cpu",
+            "--policy.push_to_hub=false", f"--output_dir={tmp_path / 'trained'}", "--steps=20", "--batch_size=8",
+            "--num_workers=0", "--save_freq=20",
+        )  # fmt: skip
+        policy = tmp_path / "trained" / "checkpoints" / "last" / "pretrained_model"
+        run(
+            tmp_path, "lerobot-rollout", *robot, f"--policy.path={policy}", "--policy.device=cpu",
+            "--strategy.type=base", "--fps=10", "--duration=3", "--task=Lift the box", "--play_sounds=false",
+            "--return_to_initial_position=false",
+        )  # fmt: skip
     finally:
         counted = process.end()
         process.kill()

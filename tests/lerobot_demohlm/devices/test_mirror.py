@@ -1,6 +1,5 @@
 """The mirror of a robot against the world that the robot is really in."""
 
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -8,42 +7,8 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
-from gym_demohlm.registry import get_task
-from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.devices.mirror import Mirror
-from lerobot_demohlm.hardware import records
-from lerobot_demohlm.hardware.slots import Reading
-from tests.helpers.robot import until
-
-
-class Told:
-    """A simulated robot, and what it tells of itself: nothing of where it is."""
-
-    def __init__(self, task: str, dz: float = 0.0) -> None:
-        self.sim = Simulation(get_task(task))
-        self.sim.reset([self.sim.task.default_state() | {"object": [0.0, dz, 0.0]}])
-        self.hidden: tuple[str, ...] = ()
-
-    def read(self, name: str) -> Reading | None:
-        """Return the newest value of a record."""
-        value = {"state": self._state, "servos": self._servos, "pose": self._pose}[name]()
-        return Reading(value=value, number=1, time_ns=time.monotonic_ns())
-
-    def _state(self) -> np.void:
-        # An IMU's heading is from wherever it was switched on.
-        turned = poses.planar(0.0, 0.0, 1.0) @ self.sim.pose("pelvis")[0]
-        return records.record("state", q=self.sim.joint_positions[0], quat_wxyz=poses.split(turned)[1])
-
-    def _servos(self) -> np.void:
-        return records.record("servos", neck=self.sim.neck_positions[0], jaws=self.sim.gripper_positions[0])
-
-    def _pose(self) -> np.void:
-        value = np.zeros((), records.RECORDS["pose"])
-        T_camera_world = poses.invert(self.sim.pose("head_camera")[0])
-        for index, entry in enumerate(self.sim.task.objects):
-            value["T_camera_object"][index] = T_camera_world @ self.sim.pose(entry.name)[0]
-            value["valid"][index] = entry.name not in self.hidden
-        return value[()]  # pyright: ignore[reportReturnType]
+from tests.helpers.robot import Told, until
 
 
 @pytest.fixture
