@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from gym_demohlm.control.velocity_map import NUM_TERMS
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.physics import FIRST, Physics, named
@@ -97,6 +98,7 @@ class Settings:
         slew: Fastest change of the command's first seven numbers, per second.
         gain: Factor on each of these seven numbers before the policy gets them; on the torso's height, factor on its
             distance from the height at rest. A policy that walks too slowly gets a larger velocity.
+        velocity_map: Coefficients of ``control.velocity_map`` for forward and sideways velocity [m/s]; empty for none.
         trim: The slow correction.
         stiffness: Position gains of the servos of ``g1.BODY_JOINTS`` [Nm/rad].
         damping: Their velocity gains [Nms/rad].
@@ -106,6 +108,7 @@ class Settings:
     gait: Gait = Gait()
     slew: tuple[float, ...] = (1.5, 1.5, 3.0, 0.4, 1.2, 1.2, 1.5)
     gain: tuple[float, ...] = (1.0,) * 7
+    velocity_map: tuple[tuple[float, ...], ...] = ()
     trim: Trim = Trim()
     stiffness: tuple[float, ...] = tuple(g1.motor(joint).stiffness for joint in g1.BODY_JOINTS)
     damping: tuple[float, ...] = tuple(g1.motor(joint).damping for joint in g1.BODY_JOINTS)
@@ -117,6 +120,7 @@ class Settings:
             "gait": dict(vars(self.gait)),
             "slew": list(self.slew),
             "gain": list(self.gain),
+            "velocity_map": [list(row) for row in self.velocity_map],
             "trim": dict(vars(self.trim)),
             "stiffness": dict(zip(g1.BODY_JOINTS, self.stiffness, strict=True)),
             "damping": dict(zip(g1.BODY_JOINTS, self.damping, strict=True)),
@@ -135,16 +139,18 @@ class Settings:
             gait=_read(Gait, metadata.get("gait", {}), "gait"),
             slew=tuple(metadata.get("slew", cls.slew)),
             gain=tuple(metadata.get("gain", cls.gain)),
+            velocity_map=tuple(tuple(row) for row in metadata.get("velocity_map", cls.velocity_map)),
             trim=_read(Trim, metadata.get("trim", {}), "trim"),
             stiffness=_of_joints(metadata.get("stiffness", {}), cls.stiffness),
             damping=_of_joints(metadata.get("damping", {}), cls.damping),
             physics=named(metadata.get("physics", cls.physics.name)),
         )
-        numbers = (*found.slew, *found.gain, *found.trim.limits, *found.stiffness, *found.damping)
-        sizes = len(found.slew), len(found.gain), len(found.trim.limits)
-        expected = len(cls.slew), len(cls.gain), len(cls.trim.limits)
+        mapped = tuple(value for row in found.velocity_map for value in row)
+        numbers = (*found.slew, *found.gain, *mapped, *found.trim.limits, *found.stiffness, *found.damping)
+        sizes = len(found.slew), len(found.gain), len(mapped), len(found.trim.limits)
+        expected = len(cls.slew), len(cls.gain), 2 * NUM_TERMS if found.velocity_map else 0, len(cls.trim.limits)
         if sizes != expected or not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
-            got = f"controller weights with a slew, a gain and a trim of {sizes} numbers, or some that are none"
+            got = f"controller weights with slew, gain, velocity map and trim of {sizes} numbers, or some that are none"
             raise SceneError(got, f"{expected}, finite", "export the weights again")
         return found
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gym_demohlm.control import attitude, features, odometry, reference, trim
+from gym_demohlm.control import attitude, features, odometry, reference, trim, velocity_map
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.robot import g1
@@ -143,6 +143,7 @@ class Tick:
         ranges = g1.joint_ranges(g1.read_mjcf())[:_LOWER]
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
         self._further = np.array(settings.gain) - 1.0
+        self._map = velocity_map.coefficients(settings.velocity_map)
 
     def start(self, sensors: Sensors, slewed: np.ndarray, clock: reference.Clock, arms: np.ndarray) -> np.ndarray:
         """Return the state (N, STATE_SIZE) of controllers that begin.
@@ -193,6 +194,8 @@ class Tick:
         learns = constant & (clock.standing[:, None] == WHILE_STANDING)
         correction = trim.advance(state[:, TRIM], slewed[:, _TRIMMED], measured, learns, self.settings.trim)
         told = slewed + self._further * (slewed - REST)
+        added = velocity_map.further(self._map, slewed)
+        told[:, : added.shape[1]] += added
         torso, torso_height = told[:, _TORSO], slewed[:, _TORSO.start]
         trimmed = reference.balanced(torso + correction[:, 1:], torso_height)
         correction[:, 1:] = trimmed - reference.balanced(torso, torso_height)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.control import features, reference, tick
+from gym_demohlm.control import features, reference, tick, velocity_map
 from gym_demohlm.control.kernels.arms import arms_moment, weigh
 from gym_demohlm.control.kernels.compiler import compiled
 from gym_demohlm.control.kernels.gait import GaitNumbers, act, admissible, advance_clock, reference_targets
@@ -29,6 +29,8 @@ _COMMAND_SCALE, _COMMAND_OFFSET = features.COMMAND_SCALE, features.COMMAND_OFFSE
 _STARTLE_SPEED, _STARTLE_TILT = reference.STARTLE_SPEED, reference.STARTLE_TILT
 _SOLE_MIDDLE, _GRAVITY = reference.SOLE_MIDDLE, reference.GRAVITY
 _COMMAND = 7
+_MAP_INDEX, _MAP_CENTRE, _MAP_SCALE = velocity_map.INDEX, velocity_map.CENTRE, velocity_map.SCALE
+_MAP_BOUND, _MAP_LARGEST, _MAP_TERMS = velocity_map.BOUND, velocity_map.LARGEST, velocity_map.TERMS
 
 
 class Numbers(NamedTuple):
@@ -39,6 +41,7 @@ class Numbers(NamedTuple):
     load: tuple[np.ndarray, float, float, np.ndarray]
     slew: np.ndarray
     further: np.ndarray
+    velocity_map: np.ndarray
     trim_rate: float
     trim_fade: float
     trim_limits: np.ndarray
@@ -59,10 +62,36 @@ class Numbers(NamedTuple):
             ),
             slew=np.array(settings.slew) * CONTROL_DT,
             further=np.array(settings.gain) - 1.0,
+            velocity_map=velocity_map.coefficients(settings.velocity_map),
             trim_rate=settings.trim.rate * CONTROL_DT,
             trim_fade=1 - settings.trim.fade * CONTROL_DT,
             trim_limits=np.array(settings.trim.limits, dtype=np.float64),
         )
+
+
+@compiled
+def add_velocity(coefficients, slewed, columns, told):
+    """Add ``velocity_map.further``.
+
+    Args:
+        coefficients: (2, NUM_TERMS), or (0, NUM_TERMS) for nothing.
+        slewed: (7,) command.
+        columns: (6,) of which the last is one; the others are written.
+        told: (7,), to whose velocities it is added.
+    """
+    if len(coefficients) == 0:
+        return
+    for index in range(len(_MAP_INDEX)):
+        scaled = (slewed[_MAP_INDEX[index]] - _MAP_CENTRE[index]) * _MAP_SCALE[index]
+        columns[index] = clip(scaled, -_MAP_BOUND, _MAP_BOUND)
+    for row in range(len(coefficients)):
+        total = 0.0
+        for term in range(len(_MAP_TERMS)):
+            value = columns[_MAP_TERMS[term, 0]]
+            for factor in range(1, _MAP_TERMS.shape[1]):
+                value *= columns[_MAP_TERMS[term, factor]]
+            total += value * coefficients[row, term]
+        told[row] += clip(total, -_MAP_LARGEST, _MAP_LARGEST)
 
 
 @compiled
@@ -86,6 +115,7 @@ def perceive(numbers, state, quat_wxyz, gyro, q, dq, commands, arms_column, afte
     gait, limits = numbers.gait, numbers.trim_limits
     goal, joints, rates = np.empty(_COMMAND), np.empty(_JOINTS), np.empty(_JOINTS)
     down_torso, measured, correction = np.empty(3), np.empty(5), np.empty(5)
+    columns = np.ones(len(_MAP_INDEX) + 1)
     for world in range(len(state)):
         before, now, seen = state[world], after[world], observation[world]
         for index in range(_JOINTS):
@@ -147,6 +177,7 @@ def perceive(numbers, state, quat_wxyz, gyro, q, dq, commands, arms_column, afte
             correction[index] = clip(further, -limit, limit) if learns else numbers.trim_fade * trim
         for index in range(_COMMAND):
             told[world, index] = slewed[index] + numbers.further[index] * (slewed[index] - _REST[index])
+        add_velocity(numbers.velocity_map, slewed, columns, told[world])
         roll, pitch, yaw = told[world, 4], told[world, 5], told[world, 6]
         plain_roll, plain_pitch = balanced(roll, pitch, yaw, slewed[3])
         trimmed_roll, trimmed_pitch = balanced(

@@ -1,15 +1,16 @@
-"""Trained weights -> the same weights with the gain that makes up for what the policy falls short of.
+"""Trained weights -> the same weights with the velocities that the policy must be told to walk as it is commanded.
 
 Rewards of the instantaneous velocity let a policy walk a little slower than it is told: its pelvis sways less then.
-What is missing is a constant share of the velocity, so that a factor on what the policy is told takes it away.
+What is missing depends on the command and hardly on anything else, see ``control.velocity_map``.
 """
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.control import command
+from gym_demohlm.control import command, velocity_map
 from gym_demohlm.control.whole_body import Weights, read_arrays
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
@@ -17,26 +18,39 @@ from gym_demohlm.wbc.evaluation.cycle import CycleMean
 from gym_demohlm.wbc.evaluation.trial import trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 
-_NUM_ROBOTS, _SETTLE_S, _LOOK_S = 48, 3.0, 4.0
+_NUM_ROBOTS, _SETTLE_S, _LOOK_S = 384, 3.0, 4.0
+_BEYOND = 1.25  # what robots are told goes beyond the range of commands: a policy that walks slowly needs more
 _LEAST_UP = 0.5  # share of the robots below which nothing can be told
-_LARGEST = 1.5  # gain: a policy that needs more is not trained yet
 
 
-def velocity_gain(simulation: Simulation, period_s: float, seed: int = 0) -> np.ndarray:
-    """Return the factors on forward and sideways velocity by which robots walk as fast as they are told, (2,).
+class Walked(NamedTuple):
+    """What robots that did not fall were told, and what they did on average.
 
-    Every robot walks with one command, drawn from the whole range. What it does on average, divided by what it was
-    told, is fitted by least squares over all robots that do not fall. Where most of them do, the factors are one.
+    Attributes:
+        told: (N, 7) commands.
+        velocity: (N, 2) forward and sideways in the heading frame [m/s].
+        up: Share of the robots that did not fall.
+    """
+
+    told: np.ndarray
+    velocity: np.ndarray
+    up: float
+
+
+def walk(simulation: Simulation, period_s: float, seed: int = 0, beyond: float = _BEYOND) -> Walked:
+    """Let every robot walk with one command, drawn from the whole range.
 
     Args:
         simulation: Of ``trial_task``; reset here.
         period_s: Of the controller's gait [s].
         seed: Of the commands.
+        beyond: Factor on the range of velocities.
     """
     rng, n, ranges = np.random.default_rng(seed), simulation.num_worlds, CommandRange()
     commands = np.tile(command.rest(), (n, 1))
     drawn = (ranges.forward, ranges.sideways, ranges.yaw_rate)
-    commands[:, command.VELOCITY] = np.stack([rng.uniform(low, high, n) for low, high in drawn], axis=1)
+    velocities = [rng.uniform(beyond * low, beyond * high, n) for low, high in drawn]
+    commands[:, command.VELOCITY] = np.stack(velocities, axis=1)
     commands[:, command.HEIGHT] = rng.uniform(*ranges.walking_height, n)
     commands[:, command.PITCH] = rng.uniform(*ranges.walking_pitch, n)
     simulation.reset([simulation.task.default_state()] * n)
@@ -47,44 +61,46 @@ def velocity_gain(simulation: Simulation, period_s: float, seed: int = 0) -> np.
         if step * STEP_DT >= _SETTLE_S:
             means.append(cycle.mean()[:, :2])
     up = ~simulation.fallen()
-    if up.mean() < _LEAST_UP:
-        return np.ones(2)
-    walked, told = np.mean(means, axis=0)[up], commands[up, :2]
-    share = (walked * told).sum(axis=0) / (told**2).sum(axis=0)
-    return np.clip(1.0 / np.maximum(share, 1.0 / _LARGEST), 1.0, _LARGEST)
+    return Walked(told=commands[up, :7], velocity=np.mean(means, axis=0)[up], up=float(up.mean()))
 
 
-def calibrate(weights: Path, output: Path) -> np.ndarray:
-    """Measure the gain of a controller on the deployment model and write its weights with it.
+def calibrate(weights: Path, output: Path) -> float:
+    """Measure how a controller walks on the deployment model and write its weights with the map that makes up for it.
+
+    Where most robots fall, nothing is mapped.
 
     Args:
-        weights: An exported controller; the gain in it is measured anew.
+        weights: An exported controller; gains of the velocity and a map in it are left out and measured anew.
         output: Of the file to write, replaced at once.
 
     Returns:
-        The factors on forward and sideways velocity, (2,).
+        The mean distance between the velocity that was told and the one that came of it [m/s].
 
     Raises:
         SceneError: As ``control.whole_body.Weights``.
     """
     plain = output.with_suffix(".plain.npz")
-    _write(weights, plain, np.ones(2))
+    _write(weights, plain, ())
     try:
         simulation = trial_simulation(_NUM_ROBOTS, weights=plain)
-        gain = np.round(velocity_gain(simulation, Weights(plain).settings.gait.period_s), 2)
+        found = walk(simulation, Weights(plain).settings.gait.period_s)
         simulation.close()
-        _write(plain, output, gain)
+        rows: tuple[tuple[float, ...], ...] = ()
+        if found.up >= _LEAST_UP:
+            rows = tuple(tuple(np.round(row, 6).tolist()) for row in velocity_map.fit(found.told, found.velocity))
+        _write(plain, output, rows)
     finally:
         plain.unlink(missing_ok=True)
-    return gain
+    return float(np.linalg.norm(found.velocity - found.told[:, :2], axis=1).mean())
 
 
-def _write(weights: Path, output: Path, gain: np.ndarray) -> None:
-    """Write weights with another gain of the velocities."""
+def _write(weights: Path, output: Path, rows: tuple[tuple[float, ...], ...]) -> None:
+    """Write weights with another map of the velocities, and no gain of them."""
     _, metadata, _ = read_arrays(weights)
     with np.load(weights, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    metadata["gain"] = [float(value) for value in gain] + metadata.get("gain", [1.0] * 7)[2:]
+    metadata["gain"] = [1.0, 1.0, *metadata.get("gain", [1.0] * 7)[2:]]
+    metadata["velocity_map"] = rows
     arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
     partial = output.with_suffix(".partial.npz")
     np.savez(partial, allow_pickle=False, **arrays)
