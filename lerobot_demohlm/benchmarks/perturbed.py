@@ -8,7 +8,7 @@ import math
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -172,14 +172,23 @@ def read(path: Path) -> list[PerturbedLine]:
 
 
 def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
-    """Return lines as a Markdown table with a row for each of some tasks.
+    """Return lines as a Markdown table with a row for each of some tasks and each length of the trial.
 
     An operator none of whose recordings was good enough is counted as such; other columns are of the demonstrations.
     """
-    names = ("task", "operators", "none good enough", "with 95 % or more", "attempts", "success [%]", "lowest [%]")
+    names = (
+        "task",
+        "trial",
+        "operators",
+        "none good enough",
+        "with 95 % or more",
+        "attempts",
+        "success [%]",
+        "lowest [%]",
+    )
     rows = [f"| {' | '.join(names)} | recordings | of these failed |", "|" + "---|" * (len(names) + 2)]
-    for task in tasks:
-        asked = [line for line in lines if line.task == task]
+    for task, trial in sorted({(line.task, line.trial) for line in lines if line.task in tasks}, key=_in(tasks)):
+        asked = [line for line in lines if (line.task, line.trial) == (task, trial)]
         found = [line for line in asked if not line.refusal]
         if not found:
             continue
@@ -187,7 +196,12 @@ def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
         lowest = min(line.successes / line.attempts for line in found)
         tries, without = (sum(getattr(line, name) for line in found) for name in ("tries", "failed"))
         rows.append(
-            f"| {task} | {len(asked)} | {len(asked) - len(found)} | {sum(line.good for line in found)} | {attempts} "
-            f"| {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} | {without} |"
+            f"| {task} | {trial} | {len(asked)} | {len(asked) - len(found)} | {sum(line.good for line in found)} "
+            f"| {attempts} | {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} | {without} |"
         )
     return "\n".join(rows)
+
+
+def _in(tasks: Sequence[str]) -> Callable[[tuple[str, int]], tuple[int, int]]:
+    """Return what sorts tasks and trials in the order of some tasks."""
+    return lambda row: (tasks.index(row[0]), row[1])

@@ -18,6 +18,7 @@ from gym_demohlm.control.kernels import compiler
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Gait, Settings, Trim
 from gym_demohlm.control.tick import Sensors, Tick
+from gym_demohlm.control.velocity_map import NUM_TERMS
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.robot import g1
 from tests.helpers.gaits import GAITS
@@ -79,12 +80,14 @@ def _in_numpy(controller: WholeBodyController, sensed: Proprioception, commands:
     walks=st.booleans(),
     gain=st.sampled_from([1.0, 1.2]),
     rate=st.sampled_from([0.0, 0.7]),
+    mapped=st.booleans(),
 )
 def test_a_tick_has_the_bits_of_numpy(
-    seed: int, num_worlds: int, gait: str, wild: float, walks: bool, gain: float, rate: float
+    seed: int, num_worlds: int, gait: str, wild: float, walks: bool, gain: float, rate: float, mapped: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    how = Settings(gait=GAITS[gait], gain=(gain,) * 7, trim=Trim(rate=rate))
+    rows = tuple(map(tuple, rng.normal(scale=0.03, size=(2 if mapped else 0, NUM_TERMS)).tolist()))
+    how = Settings(gait=GAITS[gait], gain=(gain,) * 7, velocity_map=rows, trim=Trim(rate=rate))
     controller = _controller(num_worlds, how)
     sensed = _sensed(rng, num_worlds, wild)
     controller.reset(np.arange(num_worlds), sensed)

@@ -23,8 +23,12 @@ def test_the_table_counts_what_the_lines_say() -> None:
     worse = replace(LINE, operator=1, successes=10, tries=1)
     refused = replace(LINE, operator=2, successes=0, refusal="no success")
     assert LINE.good and not worse.good and not refused.good
-    shown = table([LINE, worse, refused, replace(LINE, task="LiftBox")], ["PressCube", "PushCart"])
-    assert shown.splitlines()[2:] == ["| PressCube | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |"]
+    shorter = replace(LINE, trial=10, successes=12)
+    shown = table([LINE, worse, refused, shorter, replace(LINE, task="LiftBox")], ["PressCube", "PushCart"])
+    assert shown.splitlines()[2:] == [
+        "| PressCube | 10 | 1 | 0 | 0 | 20 | 60.0 | 60 | 2 | 1 |",
+        "| PressCube | 20 | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |",
+    ]
 
 
 def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
