@@ -175,6 +175,7 @@ def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
     """Return lines as a Markdown table with a row for each of some tasks and each length of the trial.
 
     An operator none of whose recordings was good enough is counted as such; other columns are of the demonstrations.
+    Of two lines of the same operator, the later one counts: the task was another one before.
     """
     names = (
         "task",
@@ -187,10 +188,12 @@ def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
         "lowest [%]",
     )
     rows = [f"| {' | '.join(names)} | recordings | of these failed |", "|" + "---|" * (len(names) + 2)]
-    for task, trial in sorted({(line.task, line.trial) for line in lines if line.task in tasks}, key=_in(tasks)):
-        asked = [line for line in lines if (line.task, line.trial) == (task, trial)]
+    newest = {(line.task, line.trial, line.region, line.attempts, line.operator): line for line in lines}.values()
+    for task, trial in sorted({(line.task, line.trial) for line in newest if line.task in tasks}, key=_in(tasks)):
+        asked = [line for line in newest if (line.task, line.trial) == (task, trial)]
         found = [line for line in asked if not line.refusal]
         if not found:
+            rows.append(f"| {task} | {trial} | {len(asked)} | {len(asked)} | 0 | 0 | - | - | - | - |")
             continue
         attempts, successes = (sum(getattr(line, name) for line in found) for name in ("attempts", "successes"))
         lowest = min(line.successes / line.attempts for line in found)

@@ -23,11 +23,13 @@ def test_the_table_counts_what_the_lines_say() -> None:
     worse = replace(LINE, operator=1, successes=10, tries=1)
     refused = replace(LINE, operator=2, successes=0, refusal="no success")
     assert LINE.good and not worse.good and not refused.good
-    shorter = replace(LINE, trial=10, successes=12)
-    shown = table([LINE, worse, refused, shorter, replace(LINE, task="LiftBox")], ["PressCube", "PushCart"])
-    assert shown.splitlines()[2:] == [
+    shorter, earlier = replace(LINE, trial=10, successes=12), replace(LINE, stamp="of another model", successes=3)
+    other = replace(refused, task="PushCart")
+    lines = [earlier, LINE, worse, refused, shorter, other, replace(LINE, task="LiftBox")]
+    assert table(lines, ["PressCube", "PushCart"]).splitlines()[2:] == [
         "| PressCube | 10 | 1 | 0 | 0 | 20 | 60.0 | 60 | 2 | 1 |",
         "| PressCube | 20 | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |",
+        "| PushCart | 20 | 1 | 1 | 0 | 0 | - | - | - | - |",
     ]
 
 
