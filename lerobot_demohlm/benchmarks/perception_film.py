@@ -1,6 +1,6 @@
 """Generated episodes seen by the head camera -> a film with true poses in green and the tracker's in red.
 
-    python -m lerobot_demohlm.benchmarks.perception_film --output docs/pictures/perception.webp
+    python -m lerobot_demohlm.benchmarks.perception_film --output docs/perception.webp
 
 draws the film of docs/perception.md: some tasks side by side, at twice the speed of the robot.
 """
