@@ -1,24 +1,25 @@
-"""A commanded velocity -> the velocity that a policy must be told so that the robot walks with the commanded one.
+"""A commanded velocity -> the velocity to give to the policy, so that the robot walks at the commanded one.
 
-A policy that is rewarded for its velocity at each moment walks with another mean velocity than it is told: less of it,
-and another one when it turns, squats or bends. For one command the difference hardly varies from cycle to cycle, so
-that a polynomial of the command takes most of it away. It is fitted by ``wbc.evaluation.calibration`` and kept in the
-weights file. It is zero for a robot that stands.
+A policy walks too slowly on average, and its error changes as the robot turns, squats or bends: its reward is for the
+velocity at each moment, not for the mean. For one command the error hardly varies from cycle to cycle. A polynomial of
+the command removes most of it. ``wbc.evaluation.calibration`` fits it, and the weights file holds it. It is zero for a
+robot that stands.
 """
 
 import itertools
 
 import numpy as np
 
+from gym_demohlm.control import features
 from gym_demohlm.robot import g1
 
 DEGREE = 3
 CENTRE = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT - 0.06, 0.0])
-"""Of forward and sideways velocity [m/s], yaw rate [rad/s], torso height [m] and torso pitch [rad]."""
+"""Subtracted from forward and sideways velocity [m/s], yaw rate [rad/s], torso height [m] and torso pitch [rad]."""
 SCALE = 1.0 / np.array([0.6, 0.4, 1.0, 0.08, 0.3])
 """Factors that make these five numbers about one where robots walk."""
 INDEX = np.array([0, 1, 2, 3, 5])
-"""Of the five numbers in a command."""
+"""Where these five numbers are in a command."""
 BOUND = 1.6
 """Largest magnitude of the five scaled numbers: the polynomial is not asked beyond it."""
 LARGEST = 0.25
@@ -33,7 +34,7 @@ TERMS = np.array(
 )
 """Factors of each term, (NUM_TERMS, DEGREE): columns of the five numbers, and a sixth column of ones."""
 NUM_TERMS = len(TERMS)
-_MIRROR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])  # of a command: velocity, torso height, roll, pitch and yaw
+_SIGNS = np.array(features.COMMAND_MIRROR[1])  # of a command in the mirror
 
 
 def coefficients(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -90,7 +91,7 @@ def fit(told: np.ndarray, walked: np.ndarray, ridge: float = 0.1) -> np.ndarray:
         (2, NUM_TERMS) [m/s].
     """
     came, missing = np.concatenate([walked, told[:, 2:]], axis=1), told[:, :2] - walked
-    found = terms(np.concatenate([came, came * _MIRROR]))
-    missing = np.concatenate([missing, missing * _MIRROR[:2]])
+    found = terms(np.concatenate([came, came * _SIGNS]))
+    missing = np.concatenate([missing, missing * _SIGNS[:2]])
     normal = found.T @ found + ridge * np.eye(NUM_TERMS)
     return np.linalg.solve(normal, found.T @ missing).T

@@ -8,7 +8,7 @@ import math
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -175,21 +175,13 @@ def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
     """Return lines as a Markdown table with a row for each of some tasks and each length of the trial.
 
     An operator none of whose recordings was good enough is counted as such; other columns are of the demonstrations.
-    Of two lines of the same operator, the later one counts: the task was another one before.
+    Of two lines of one operator the later one counts: the task has changed since the earlier one.
     """
-    names = (
-        "task",
-        "trial",
-        "operators",
-        "none good enough",
-        "with 95 % or more",
-        "attempts",
-        "success [%]",
-        "lowest [%]",
-    )
-    rows = [f"| {' | '.join(names)} | recordings | of these failed |", "|" + "---|" * (len(names) + 2)]
+    counts = "operators | none good enough | with 95 % or more | attempts | success [%] | lowest [%]"
+    rows = [f"| task | trial | {counts} | recordings | of these failed |", "|" + "---|" * 10]
     newest = {(line.task, line.trial, line.region, line.attempts, line.operator): line for line in lines}.values()
-    for task, trial in sorted({(line.task, line.trial) for line in newest if line.task in tasks}, key=_in(tasks)):
+    pairs = [(task, trial) for task in tasks for trial in sorted({line.trial for line in newest if line.task == task})]
+    for task, trial in pairs:
         asked = [line for line in newest if (line.task, line.trial) == (task, trial)]
         found = [line for line in asked if not line.refusal]
         if not found:
@@ -203,8 +195,3 @@ def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
             f"| {attempts} | {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} | {without} |"
         )
     return "\n".join(rows)
-
-
-def _in(tasks: Sequence[str]) -> Callable[[tuple[str, int]], tuple[int, int]]:
-    """Return what sorts tasks and trials in the order of some tasks."""
-    return lambda row: (tasks.index(row[0]), row[1])

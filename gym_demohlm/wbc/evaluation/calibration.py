@@ -1,7 +1,7 @@
-"""Trained weights -> the same weights with the velocities that the policy must be told to walk as it is commanded.
+"""Trained weights -> the same weights with a velocity map, so that robots walk at the commanded velocity.
 
-Rewards of the instantaneous velocity let a policy walk a little slower than it is told: its pelvis sways less then.
-What is missing depends on the command and hardly on anything else, see ``control.velocity_map``.
+A policy walks a little too slowly, because its pelvis sways less then. What is missing depends on the command and on
+hardly anything else, see ``control.velocity_map``.
 """
 
 import json
@@ -19,7 +19,7 @@ from gym_demohlm.wbc.evaluation.trial import trial_simulation
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 
 _NUM_ROBOTS, _SETTLE_S, _LOOK_S = 384, 3.0, 4.0
-_BEYOND = 1.25  # what robots are told goes beyond the range of commands: a policy that walks slowly needs more
+_BEYOND = 1.25  # times the range of commands: a slow policy needs a larger velocity than the commanded one
 _LEAST_UP = 0.5  # share of the robots below which nothing can be told
 
 
@@ -64,17 +64,14 @@ def walk(simulation: Simulation, period_s: float, seed: int = 0, beyond: float =
     return Walked(told=commands[up, :7], velocity=np.mean(means, axis=0)[up], up=float(up.mean()))
 
 
-def calibrate(weights: Path, output: Path) -> float:
-    """Measure how a controller walks on the deployment model and write its weights with the map that makes up for it.
+def calibrate(weights: Path, output: Path) -> None:
+    """Measure how a controller walks on the deployment model, and write its weights with the map that corrects it.
 
-    Where most robots fall, nothing is mapped.
+    Where most robots fall, the map is empty.
 
     Args:
         weights: An exported controller; gains of the velocity and a map in it are left out and measured anew.
         output: Of the file to write, replaced at once.
-
-    Returns:
-        The mean distance between the velocity that was told and the one that came of it [m/s].
 
     Raises:
         SceneError: As ``control.whole_body.Weights``.
@@ -91,7 +88,6 @@ def calibrate(weights: Path, output: Path) -> float:
         _write(plain, output, rows)
     finally:
         plain.unlink(missing_ok=True)
-    return float(np.linalg.norm(found.velocity - found.told[:, :2], axis=1).mean())
 
 
 def _write(weights: Path, output: Path, rows: tuple[tuple[float, ...], ...]) -> None:

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_demohlm.control import command, velocity_map
+from gym_demohlm.control import command, features, velocity_map
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.whole_body import WEIGHTS_FOLDER, Weights
 from gym_demohlm.errors import SceneError
 from gym_demohlm.wbc.evaluation.calibration import calibrate, walk
 from gym_demohlm.wbc.evaluation.trial import trial_simulation
 
-_MIRROR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+_SIGNS = np.array(features.COMMAND_MIRROR[1])
 
 
 def _commands(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -49,8 +49,8 @@ def test_left_and_right_are_treated_alike(seed: int) -> None:
     rng = np.random.default_rng(seed)
     told, other = _commands(rng, 60), _commands(rng, 8)
     chosen = velocity_map.fit(told, _robot(told) + 0.05 * rng.normal(size=(60, 2)))
-    mirrored = velocity_map.further(chosen, other * _MIRROR)
-    np.testing.assert_allclose(mirrored, velocity_map.further(chosen, other) * _MIRROR[:2], atol=1e-9)
+    mirrored = velocity_map.further(chosen, other * _SIGNS)
+    np.testing.assert_allclose(mirrored, velocity_map.further(chosen, other) * _SIGNS[:2], atol=1e-9)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
