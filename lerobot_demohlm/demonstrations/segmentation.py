@@ -2,10 +2,11 @@
 
 Before a hand touches an object it follows the object (pre-manipulation); from the touch on it follows the robot
 (manipulation), until it lets go and heads for another object. A gripper that closes just before it
-presses begins that touch. Hands that take one object at about the same time switch together. A hand that takes an
-object out of the other's follows it anew from where the other has brought it to rest. Once the demonstration walks,
-hands that hold something follow the base. A thing that has a goal follows the goal once it has been lifted clear and
-carried there: so a demonstration may be about any number of objects, one after the other.
+presses begins that touch; what an open one brushes against, before and after it holds it, it has not touched. Hands
+that take one object at about the same time switch together. A hand that takes an object out of the other's follows it
+anew from where the other has brought it to rest. Once the demonstration walks, hands that hold something follow the
+base. A thing that has a goal follows the goal once it has been lifted clear and carried there: so a demonstration may
+be about any number of objects, one after the other.
 """
 
 import json
@@ -38,6 +39,8 @@ GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
 _ANCHOR_OF: dict[MotionFrame, Anchor] = {"robot": "body", "hands": "eef_heading", "scene": "eef"}
 REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
 MIN_REST_TICKS = 3
+UNSTEADY = (1.0, 2.0, 4.0, 8.0)  # times that far where a hand that trembles holds it, if it comes to rest too late else
+REACH_TICKS = 20  # an object that comes to rest later before it is touched does so too late (2 s)
 CLEAR_M = 0.05  # an object that is so far from where it was taken is clear of what it lay on
 
 
@@ -151,15 +154,21 @@ def _cut_at_rest(
         if entry.kind == "object" and taken:
             assert entry.object is not None  # object segments have one
             T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
-            distance = norm(T[:, :3, 3] - T[-1, :3, 3])
-            angle = norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T))
-            moving = np.flatnonzero((distance > REST_M) | (angle > REST_RAD))
-            rest = int(moving[-1]) + 1 if len(moving) else entry.start
+            rests = [max(entry.start, _rest(T, share)) for share in UNSTEADY]
+            rest = next((tick for tick in rests if tick <= entry.stop - REACH_TICKS), rests[0])
             if max(taken) < rest <= entry.stop - MIN_REST_TICKS:
                 cut += [replace(entry, stop=rest), replace(entry, start=rest)]
                 continue
         cut.append(entry)
     return cut
+
+
+def _rest(T: np.ndarray, share: float) -> int:
+    """Return the tick from which on an object's poses (T, 4, 4) are nearer to the last one than a share of REST."""
+    distance = norm(T[:, :3, 3] - T[-1, :3, 3])
+    angle = norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T))
+    moving = np.flatnonzero((distance > share * REST_M) | (angle > share * REST_RAD))
+    return int(moving[-1]) + 1 if len(moving) else 0
 
 
 def _cut_at_goals(demonstration: Demonstration, task: Task, track: list[Segment]) -> list[Segment]:
@@ -219,7 +228,28 @@ def _switches(found: list[Event]) -> list[tuple[int, int | None, str]]:
                 switches[-1] = (touch, release, name)
                 continue
         switches.append((min([event.tick, *closing]), release, event.object))
-    return switches
+    return _taken(switches, found)
+
+
+def _taken(switches: list[tuple[int, int | None, str]], found: list[Event]) -> list[tuple[int, int | None, str]]:
+    """Leave out touches with the open gripper, of what the hand takes with the closed one at another time."""
+    opens = [event.tick for event in found if event.kind == "open"]
+    grips = [(e.tick, min([tick for tick in opens if tick > e.tick], default=None)) for e in found if e.kind == "close"]
+
+    def gripped(touch: int, release: int | None) -> bool:
+        return any(
+            (release is None or close < release) and (opened is None or touch < opened) for close, opened in grips
+        )
+
+    def begin(touch: int, release: int | None) -> int:
+        """A touch begins as the gripper closes; what the open one did before is a brush."""
+        inside = [close for close, _ in grips if touch < close and (release is None or close < release)]
+        shut = any(close <= touch and (opened is None or touch < opened) for close, opened in grips)
+        return touch if shut or not inside else inside[0]
+
+    held = {name for touch, release, name in switches if gripped(touch, release)}
+    kept = [switch for switch in switches if switch[2] not in held or gripped(switch[0], switch[1])]
+    return [(begin(touch, release), release, name) for touch, release, name in kept]
 
 
 def _together(

@@ -31,6 +31,7 @@ from lerobot_demohlm.generation.fitting import fitted
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
+from lerobot_demohlm.generation.steadying import steadied
 from lerobot_demohlm.generation.world_view import WorldView
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 
@@ -141,6 +142,7 @@ class Attempts:
         self.task, self.region, self.seed = task.at(region), region, seed
         self.demonstration, self.settings = fitted(demonstration, self.task), settings or Settings()
         self._segments: list[Segment] = segment(self.demonstration, self.task, task.is_scattered(region))
+        self.demonstration = steadied(self.demonstration, self.task, self._segments)
         variation = get_variation(self.settings.variation.variation)
         self._sim = sim or Simulation(self.task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
