@@ -148,13 +148,16 @@ def _cut_at_rest(
 ) -> list[Segment]:
     """Cut approaches to an object that the other hand takes first at the tick at which it is brought to rest."""
     names = [entry.name for entry in task.objects]
+    gripping = gripper_events(demonstration.action) if task.hands == "gripper" else []
+    closings = {(event.tick, event.hand) for event in gripping if event.kind == "close"}
     cut = []
     for entry in track:
         taken = [tick for tick, _, name in others if name == entry.object and entry.start <= tick < entry.stop]
         if entry.kind == "object" and taken:
             assert entry.object is not None  # object segments have one
             T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
-            rests = [max(entry.start, _rest(T, share)) for share in UNSTEADY]
+            closes = (entry.stop, entry.hand) in closings
+            rests = [max(entry.start, _rest(T, share)) for share in (UNSTEADY if closes else UNSTEADY[:1])]
             rest = next((tick for tick in rests if tick <= entry.stop - REACH_TICKS), rests[0])
             if max(taken) < rest <= entry.stop - MIN_REST_TICKS:
                 cut += [replace(entry, stop=rest), replace(entry, start=rest)]
