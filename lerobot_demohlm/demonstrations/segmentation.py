@@ -39,7 +39,7 @@ GRIPPER_CLOSED = 0.5  # of the command, 0 open .. 1 closed
 _ANCHOR_OF: dict[MotionFrame, Anchor] = {"robot": "body", "hands": "eef_heading", "scene": "eef"}
 REST_M, REST_RAD = 0.01, 0.1  # an object this near to where it will be touched has come to rest
 MIN_REST_TICKS = 3
-UNSTEADY = (1.0, 2.0, 4.0, 8.0)  # times that far where a hand that trembles holds it, if it comes to rest too late else
+UNSTEADY = (1.0, 2.0, 4.0, 8.0)  # times that near, the first that will do, where an unsteady hand holds it for a grip
 REACH_TICKS = 20  # an object that comes to rest later before it is touched does so too late (2 s)
 CLEAR_M = 0.05  # an object that is so far from where it was taken is clear of what it lay on
 
@@ -156,8 +156,8 @@ def _cut_at_rest(
         if entry.kind == "object" and taken:
             assert entry.object is not None  # object segments have one
             T = demonstration.T_world_objects[: entry.stop, names.index(entry.object)]
-            closes = (entry.stop, entry.hand) in closings
-            rests = [max(entry.start, _rest(T, share)) for share in (UNSTEADY if closes else UNSTEADY[:1])]
+            shares = UNSTEADY if (entry.stop, entry.hand) in closings else UNSTEADY[:1]
+            rests = [max(entry.start, _rest(T, share)) for share in shares]
             rest = next((tick for tick in rests if tick <= entry.stop - REACH_TICKS), rests[0])
             if max(taken) < rest <= entry.stop - MIN_REST_TICKS:
                 cut += [replace(entry, stop=rest), replace(entry, start=rest)]
@@ -167,7 +167,7 @@ def _cut_at_rest(
 
 
 def _rest(T: np.ndarray, share: float) -> int:
-    """Return the tick from which on an object's poses (T, 4, 4) are nearer to the last one than a share of REST."""
+    """Return from when on an object's poses (T, 4, 4) are nearer to the last one than a multiple of ``REST_M``."""
     distance = norm(T[:, :3, 3] - T[-1, :3, 3])
     angle = norm(poses.rotation_vector(T[:, :3, :3] @ T[-1, :3, :3].T))
     moving = np.flatnonzero((distance > share * REST_M) | (angle > share * REST_RAD))

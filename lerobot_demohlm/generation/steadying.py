@@ -39,22 +39,24 @@ def steadied(demonstration: Demonstration, task: Task, segments: Sequence[Segmen
     """
     names = [entry.name for entry in task.objects]
     closing = [] if task.hands == "rubber" else [e for e in gripper_events(demonstration.action) if e.kind == "close"]
-    for event in closing:
-        approach = [
-            entry
-            for entry in segments
-            if (entry.hand, entry.kind, entry.stop) == (event.hand, "object", event.tick) and entry.held is None
+    ends = {(event.hand, event.tick) for event in closing}
+    approaches = [
+        entry
+        for entry in segments
+        if entry.kind == "object" and entry.held is None and (entry.hand, entry.stop) in ends
+    ]
+    for entry in sorted(approaches, key=lambda entry: entry.stop):
+        column = names.index(str(entry.object))
+        holding = [
+            other.start
+            for other in segments
+            if (other.kind, other.object) == ("proprioception", entry.object)
+            and other.hand != entry.hand
+            and other.start < entry.stop <= other.stop
         ]
-        for entry in approach:
-            held = [
-                other
-                for other in segments
-                if other.hand != entry.hand and other.kind == "proprioception" and other.object == entry.object
-            ]
-            column, carried = names.index(str(entry.object)), any(other.start < entry.stop for other in held)
-            if any(other.start < entry.start and entry.stop <= other.stop for other in held):
-                demonstration = _still(demonstration, entry, column)
-            demonstration = _straight(demonstration, entry, column, carried=carried)
+        if holding and min(holding) < entry.start:
+            demonstration = _still(demonstration, entry, column)
+        demonstration = _straight(demonstration, entry, column, carried=bool(holding))
     return demonstration
 
 

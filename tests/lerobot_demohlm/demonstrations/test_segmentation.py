@@ -9,6 +9,7 @@ import pytest
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import get_task
+from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations import segmentation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
@@ -228,3 +229,50 @@ def test_a_replaced_task_takes_corrections_of_its_own_objects(demonstration: Dem
 def test_a_task_with_other_pairs_is_refused(demonstration: Demonstration) -> None:
     with pytest.raises(DemonstrationError, match="forces of 2 pairs"):
         segmentation.segment(demonstration, dataclasses.replace(TASK, contact_pairs=TASK.contact_pairs[:1]))
+
+
+def gripping(closes: int, opens: int, **touches: list[tuple[int, int]]) -> tuple[Demonstration, Task]:
+    """Return GraspCube's demonstration with other forces, whose right gripper closes and opens at these ticks."""
+    task = get_task("GraspCube")
+    packaged = demonstrations.load(task=task)
+    action, forces = packaged.action.copy(), np.zeros_like(packaged.contact_forces)
+    action[:, command.GRIPPERS] = 0.0
+    action[closes:opens, command.GRIPPERS.stop - 1] = 1.0
+    for hand, stretches in touches.items():
+        for start, stop in stretches:
+            forces[start:stop, [pair[0] for pair in task.contact_pairs].index(hand)] = 10.0
+    return dataclasses.replace(packaged, action=action, contact_forces=forces), task
+
+
+@pytest.mark.parametrize(
+    "touches",
+    [
+        [(32, 80)],
+        [(12, 20), (32, 80)],  # it brushes against it before
+        [(32, 60), (70, 76)],  # and after
+        [(12, 80)],  # it leans on it until it closes
+    ],
+)
+def test_what_an_open_gripper_brushes_against_it_has_not_taken(touches: list[tuple[int, int]]) -> None:
+    demonstration, task = gripping(30, 60, right=touches)
+    right = [(entry.kind, entry.start) for entry in segmentation.segment(demonstration, task) if entry.hand == "right"]
+    assert right == [("object", 0), ("proprioception", 30)]
+
+
+def test_an_open_gripper_that_never_closes_takes_by_touching() -> None:
+    demonstration, task = gripping(0, 0, right=[(12, 20), (40, 80)])
+    right = [(entry.kind, entry.start) for entry in segmentation.segment(demonstration, task) if entry.hand == "right"]
+    assert right == [("object", 0), ("proprioception", 12), ("object", 20), ("proprioception", 40)]
+
+
+@pytest.mark.parametrize(("sway", "rest"), [(0.0, 83), (0.02, 83), (0.05, 90)])
+def test_what_is_held_unsteadily_is_met_where_it_is_held(sway: float, rest: int) -> None:
+    """The right hand holds out the cube, which sways until just before the left one closes on it at tick 139."""
+    task = get_task("ExchangeCube")
+    packaged = demonstrations.load(task=task)
+    objects = packaged.object_poses.copy()
+    objects[90:135, 0, 1] += sway * np.sin(np.arange(45))
+    segments = segmentation.segment(dataclasses.replace(packaged, object_poses=objects), task)
+    approaches = [entry for entry in segments if entry.hand == "left" and entry.kind == "object"]
+    assert len(approaches) == 2
+    assert approaches[1].start <= rest and approaches[1].stop == 139
