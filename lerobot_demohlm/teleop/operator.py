@@ -21,6 +21,8 @@ class SceneView:
         T_world_pelvis: (4, 4).
         T_world_hands: (2, 4, 4) left and right palm.
         T_world_objects: Tracked objects by name, (4, 4) each.
+        T_world_targets: (2, 4, 4) what is asked of the palms now, which the page draws; None where that is what the
+            operator asked for last.
     """
 
     tick: int
@@ -28,6 +30,7 @@ class SceneView:
     T_world_pelvis: np.ndarray
     T_world_hands: np.ndarray
     T_world_objects: Mapping[str, np.ndarray]
+    T_world_targets: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,7 +88,10 @@ class PathOperator:
             self._pending = list(zip(path.T_world_hands, path.grippers, path.watched, strict=True))
         wanted, grippers, watched = self._pending.pop(0)
         if watched and self._hands is not None:
-            missed = self._hands[:, :3, 3] - view.T_world_hands[:, :3, 3]
+            wanted_then = self._hands[:, :3, 3]
+            if view.T_world_targets is not None:  # what the palms were asked is late; that is no miss of theirs
+                wanted_then = view.T_world_targets[:, :3, 3] - self._shift
+            missed = wanted_then - view.T_world_hands[:, :3, 3]
             self._shift = np.clip(self._shift + WATCHING_GAIN * missed, -MAX_SHIFT_M, MAX_SHIFT_M)
         self._hands = wanted
         asked = wanted.copy()

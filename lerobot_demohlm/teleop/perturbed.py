@@ -3,7 +3,8 @@
 It stands in for a person with a headset, and goes the whole way of one: poses of devices in a room of its own, at the
 rate of a headset, through the slot that a server keeps the newest in, the clutch, and a recording session. It knows no
 more of the clutch than that a motion of the hand is a motion of the palm's target, watches that target as the page
-shows it, and leads it back where it has gone astray. What it does is a function of its seed.
+shows it, and leads it back where it has gone astray. It does not take a target that is late for an arm that sags. What
+it does is a function of its seed.
 """
 
 import math
@@ -226,7 +227,7 @@ class PerturbedOperator:
             return
         if np.abs(missed).max(initial=0.0) > WAITING_M or self._lost.any():
             return
-        self._intended = self._script.poses(view)
+        self._intended = self._script.poses(replace(view, T_world_targets=targets))
         if self._intended is None:
             self.over = True
             return

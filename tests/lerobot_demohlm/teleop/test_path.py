@@ -1,5 +1,7 @@
 """Waypoints become smooth hand paths; phases follow one another; a watching operator makes up for arms that sag."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,32 @@ def test_a_watching_operator_makes_up_for_sagging_arms(watched: bool, left: floa
         measured[:, :3, 3] += SAG
     np.testing.assert_allclose(measured[:, 2, 3], 0.7, atol=left + 1e-9)
     assert (measured[:, 2, 3] < 0.7 - 1e-5).all()
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_an_operator_who_sees_its_targets_takes_none_that_is_late_for_a_miss(shown: bool) -> None:
+    """Targets come 0.3 s late and palms are where they are; without the targets it would lead them too far."""
+    way = [Waypoint(T_world_hands=hands(0.8), duration_s=1.2, watched=True)]
+    operator = PathOperator("late", [lambda _: way])
+    asked = [hands(0.5)] * 3
+    while True:
+        seen = view(asked[-3])
+        now = operator.poses(replace(seen, T_world_targets=asked[-3]) if shown else seen)
+        if now is None:
+            break
+        asked.append(now.T_world_hands)
+    too_far = asked[-1][:, 2, 3] - 0.8
+    assert (np.abs(too_far) < 1e-9).all() if shown else (too_far > 0.012).all()
+
+
+def test_an_operator_who_sees_its_targets_still_makes_up_for_sagging_arms() -> None:
+    still = [Waypoint(T_world_hands=hands(0.7), duration_s=2.5, watched=True)]
+    operator = PathOperator("holds still", [lambda _: still])
+    measured = targets = hands(0.7)
+    while (now := operator.poses(replace(view(measured), T_world_targets=targets))) is not None:
+        targets, measured = now.T_world_hands, now.T_world_hands.copy()
+        measured[:, :3, 3] += SAG
+    np.testing.assert_allclose(measured[:, 2, 3], 0.7, atol=0.002)
 
 
 def test_what_cannot_be_reached_is_not_chased() -> None:
