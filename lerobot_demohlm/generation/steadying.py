@@ -21,6 +21,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 
 NEAR_M = 0.12  # from where a gripper closes: there a hand is to go straight
 STRAY_M = 0.0075  # that a hand on its way there may move away again, at most
+BRUSHED_M = 0.06  # that the hand may move the object until then; one that moves it further means to
 STILL_M = 0.005  # that a hand which holds something for the other one may move meanwhile
 COME_TICKS = 10  # in which it comes to rest
 SETTLE_TICKS = 5  # for which it waits there before the gripper closes
@@ -71,8 +72,9 @@ def _straight(demonstration: Demonstration, approach: Segment, column: int, *, c
     near = int(far[-1]) if len(far) else 0  # the last tick of the approach outside
     if len(away) - near <= SETTLE_TICKS or float((away - np.minimum.accumulate(away))[near:].max()) <= STRAY_M:
         return demonstration
-    # What the hand has moved by brushing against it stands where it is taken all the time; what the other hand
-    # holds is there already.
+    if not carried and float(norm(T_W_O[-1, :3, 3] - T_W_O[0, :3, 3])) > BRUSHED_M:
+        return demonstration
+    # What the hand has brushed aside stands where it is taken all the time.
     moved = np.eye(4)
     if not carried:
         first, last = (poses.planar(*poses.to_planar(T)) for T in (T_W_O[0], T_W_O[-1]))

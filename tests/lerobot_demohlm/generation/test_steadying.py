@@ -1,6 +1,7 @@
 """Hands that stray before they grip are led straight there; those that do not keep every bit."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
+from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.steadying import COME_TICKS, NEAR_M, steadied
+from lerobot_demohlm.teleop.perturbed import record_perturbed
+from lerobot_demohlm.teleop.trial import TrialSettings
 
 LEFT, RIGHT = 0, 1
 
@@ -27,15 +31,15 @@ def bump(length: int, middle: float, width: float) -> np.ndarray:
     return np.exp(-(((np.arange(length) - middle) / width) ** 2))
 
 
-def swung(packaged: Demonstration, close: int) -> Demonstration:
-    """Return a demonstration whose right hand swings 30 mm past the object, pushing it by 10 mm, and comes back."""
+def swung(packaged: Demonstration, close: int, pushed_m: float = 0.01) -> Demonstration:
+    """Return a demonstration whose right hand swings 30 mm past the object, pushing it on, and comes back."""
     past = 0.03 * bump(len(packaged), close - 6, 2.0)
     changed = {}
     for name in ("hand_poses", "hand_targets"):
         changed[name] = getattr(packaged, name).copy()
         changed[name][:close, RIGHT, 0] += past[:close]
     objects = packaged.object_poses.copy()
-    objects[: close - 6, 0, 0] -= 0.01
+    objects[: close - 6, 0, 0] -= pushed_m
     return dataclasses.replace(packaged, object_poses=objects, **changed)
 
 
@@ -72,6 +76,16 @@ def test_a_hand_that_swings_past_goes_straight_to_where_it_grips() -> None:
     assert steadied(straight, task, segments) is straight
 
 
+def test_an_object_that_is_pushed_far_before_it_is_gripped_is_meant_to_be() -> None:
+    task = get_task("GraspCube")
+    packaged = demonstrations.load(task=task)
+    segments = segment(packaged, task)
+    close = next(entry.stop for entry in segments if entry.kind == "object")
+    for pushed_m, kept in ((0.05, False), (0.10, True)):
+        source = swung(packaged, close, pushed_m)
+        assert (steadied(source, task, segments) is source) == kept
+
+
 def test_a_hand_keeps_still_while_the_other_one_takes_what_it_holds() -> None:
     task = get_task("ExchangeCube")
     packaged = demonstrations.load(task=task)
@@ -93,3 +107,15 @@ def test_a_hand_keeps_still_while_the_other_one_takes_what_it_holds() -> None:
         for part in (slice(0, begin - COME_TICKS), slice(close, None)):
             rows = 0 if name == "object_poses" else RIGHT
             assert np.array_equal(getattr(still, name)[part, rows], getattr(source, name)[part, rows])
+
+
+@pytest.mark.slow
+def test_an_unsteady_person_s_exchange_can_be_generated_from(tmp_path: Path) -> None:
+    """Of these five attempts none succeeded with the hands as this operator moved them."""
+    task = get_task("ExchangeCube")
+    recorded = record_perturbed(task, 2, tmp_path / "recorded")
+    attempts = Attempts(task, recorded.demonstration, "R3", TrialSettings().seed, num_worlds=5)
+    try:
+        assert [episode.outcome for episode in attempts.run(range(5))].count("success") >= 4
+    finally:
+        attempts.close()
