@@ -51,6 +51,7 @@ ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("kne
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
+PUSHED_AHEAD = 0.5  # weight of an error along the way in what tells a push: every change of command makes one
 WIDENS = 0.25  # gait periods after the command stops in which the feet walk apart
 LARGEST_TILT = 0.3  # rad, unplanned, that legs make up for
 _HIP_YAWS = [g1.LEG_JOINTS.index(f"{side}_hip_yaw") for side in g1.SIDES]
@@ -64,16 +65,18 @@ class Clock(NamedTuple):
         phase: (N,) in [0, 1).
         stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
         standing: (N,) bool, whether the clock rests.
+        recovers: (N,) 1 after a push, down to 0 over ``Gait.recovery_s``.
     """
 
     phase: np.ndarray
     stopped: np.ndarray
     standing: np.ndarray
+    recovers: np.ndarray
 
 
 def at_rest(count: int) -> Clock:
     """Return the clocks of robots that have stood still for long."""
-    return Clock(np.full(count, REST_PHASES[0]), np.full(count, 2.0), np.ones(count, dtype=bool))
+    return Clock(np.full(count, REST_PHASES[0]), np.full(count, 2.0), np.ones(count, dtype=bool), np.zeros(count))
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
@@ -177,35 +180,50 @@ def escapes(capture: np.ndarray, margins: tuple[float, float, float], sole_tilt:
     return out | (sole_tilt > STARTLE_TILT)
 
 
+def pushed(velocity: np.ndarray, command: np.ndarray, gait: Gait = GAIT) -> np.ndarray:
+    """Return who moves so differently from the command that it must have been pushed, (N,) bool.
+
+    Args:
+        velocity: (N, 2) from the odometry [m/s].
+        command: (N, 2 or more) slewed, velocity first.
+        gait: Which says how differently.
+    """
+    x, y = np.ascontiguousarray((velocity - command[:, :2]).T)
+    x = PUSHED_AHEAD * x
+    return x * x + y * y > gait.recovery_speed * gait.recovery_speed
+
+
 def advance_clock(
-    phase: np.ndarray,
-    stopped: np.ndarray,
-    standing: np.ndarray,
-    velocity: np.ndarray,
-    startled: np.ndarray,
-    gait: Gait = GAIT,
+    clock: Clock, velocity: np.ndarray, startled: np.ndarray, pushed: np.ndarray, gait: Gait = GAIT
 ) -> Clock:
     """Advance the gait clock by one control tick.
 
     Args:
-        phase: (N,) in [0, 1).
-        stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
-        standing: (N,) bool, whether the clock rests.
+        clock: After the tick before.
         velocity: (N, 3) commanded velocity.
         startled: (N,) bool, who loses balance.
+        pushed: (N,) bool, who was pushed.
         gait: Whose clock it is.
 
     Returns:
         The clock now.
     """
-    tick = CONTROL_DT / gait.period_s
+    phase, stopped, standing, recovers = clock
+    if gait.recovery_s:
+        recovers = np.where(pushed, 1.0, np.maximum(recovers - CONTROL_DT / gait.recovery_s, 0.0))
+    tick = CONTROL_DT / period(recovers, gait)
     walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1) | startled
     stopped = np.where(walk, 0.0, np.minimum(stopped + tick, 10.0))
     moved = (phase + tick) % 1.0
     both_down = (moved % 0.5) >= gait.swing
     stands = ~walk & (standing | ((stopped >= STEPS_TO_SQUARE_UP) & both_down))
     rest = np.where(standing, phase, np.where(moved < 0.5, gait.rest_phases[0], gait.rest_phases[1]))
-    return Clock(np.where(stands, rest, moved), stopped, stands)
+    return Clock(np.where(stands, rest, moved), stopped, stands, recovers)
+
+
+def period(recovers: np.ndarray, gait: Gait = GAIT) -> np.ndarray:
+    """Return the time of two steps (N,) [s] of robots that recover from a push by a share (N,)."""
+    return gait.period_s + np.minimum(2 * recovers, 1.0) * (gait.recovery_period_s - gait.period_s)
 
 
 def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
@@ -362,12 +380,13 @@ class Reference:
         Returns:
             (N, 15) [rad], in the order of ``g1.BODY_JOINTS``.
         """
-        gait, (phase, stopped, standing) = self.gait, clock
+        gait, (phase, stopped, standing, recovers) = self.gait, clock
         vx, vy, yaw_rate, height, roll, pitch, yaw = np.ascontiguousarray(command[:, :7].T)
         ahead, aside, tilt, bank = self.footing(command, moment)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
-        half_stride = 0.5 * (1 - gait.swing) * gait.period_s  # s: from mid-stance to lift-off
+        # s: from mid-stance to lift-off
+        half_stride = 0.5 * (1 - gait.swing) * period(recovers, gait)[:, None]
         sway = np.where(walking, gait.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
         extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * gait.placement_s
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
@@ -378,11 +397,13 @@ class Reference:
         progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
         reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
         lift = np.where(swings & walks, gait.lift * np.sin(np.pi * u) ** 2, 0.0)
-        apart = gait.spread + (g1.HIP_SPREAD - gait.spread) * np.minimum(stopped / WIDENS, 1.0)
+        spread = gait.spread + np.minimum(2 * recovers, 1.0) * (gait.recovery_spread - gait.spread)
+        apart = spread + (g1.HIP_SPREAD - spread) * np.minimum(stopped / WIDENS, 1.0)
+        beside = extra[:, 1:] * np.where(extra[:, 1:] * _SIDES < 0, gait.inward, 1.0)
         out = np.where(walking, apart, g1.HIP_SPREAD) + np.where(walking, gait.widen * np.abs(vy), 0.0)
         ankles = leg_ik.Vectors(
             vx[:, None] * progress + extra[:, :1] * reach + ahead[:, None],
-            vy[:, None] * progress + extra[:, 1:] * reach + (sway + aside)[:, None] + out[:, None] * _SIDES,
+            vy[:, None] * progress + beside * reach + (sway + aside)[:, None] + out[:, None] * _SIDES,
             lift - height[:, None] + g1.SOLE_DROP,
         )
         tilts, banks = tilt[:, None], bank[:, None]

@@ -29,7 +29,12 @@ class Gait:
         sway: Amplitude of the lateral sway of the pelvis [m].
         widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
         placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
+        inward: Share of that for a foot that would land towards the other one, so that they never cross.
         spread: How far each foot walks beside the middle [m]; a robot at rest stands with its feet under its hips.
+        recovery_s: How long a robot that was pushed walks wider and faster than it does otherwise [s]; 0 for never.
+        recovery_speed: The error of velocity that tells a push [m/s].
+        recovery_spread: ``spread`` of a robot that was pushed just now [m].
+        recovery_period_s: ``period_s`` of a robot that was pushed just now [s].
         swing_upright: Share of an unplanned tilt of the pelvis that the swinging leg makes up for, to land where it
             would have landed without.
         ankle_upright: How far the ankles of the bearing legs turn against an unplanned tilt of the pelvis [rad/rad].
@@ -47,7 +52,12 @@ class Gait:
     sway: float = 0.025
     widen: float = 0.06
     placement_s: float = 0.12
+    inward: float = 1.0
     spread: float = g1.HIP_SPREAD
+    recovery_s: float = 0.0
+    recovery_speed: float = 0.4
+    recovery_spread: float = g1.HIP_SPREAD
+    recovery_period_s: float = 0.64
     swing_upright: float = 0.0
     ankle_upright: float = 0.0
     ankle_damping_s: float = 0.0

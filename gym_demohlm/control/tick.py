@@ -21,13 +21,14 @@ LAST_ACTION = slice(HISTORY_SIZE, HISTORY_SIZE + features.ACTION_SIZE)
 SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
 CLOCK = SLEWED.stop
 STANDING = CLOCK + 2
-VELOCITY = slice(CLOCK + 3, CLOCK + 5)
+RECOVERS = CLOCK + 3
+VELOCITY = slice(CLOCK + 4, CLOCK + 6)
 ARMS = slice(VELOCITY.stop, VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
 CARRIED = slice(ARMS.stop, ARMS.stop + 2)
 TRIM = slice(CARRIED.stop, CARRIED.stop + 5)
 STATE_SIZE = TRIM.stop
-"""Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing, velocity from
-the odometry, arm targets, loads, trim."""
+"""Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing, recovery
+from a push, velocity from the odometry, arm targets, loads, trim."""
 
 REST = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT, 0.0, 0.0, 0.0])  # of a slewed command
 _TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
@@ -125,7 +126,7 @@ class Situation:
 
     def remember(self, action: np.ndarray) -> np.ndarray:
         """Return the state (N, STATE_SIZE) after this tick, in which the policy acted (N, 15)."""
-        clock = np.stack([self.clock.phase, self.clock.stopped, self.clock.standing.astype(np.float64)], axis=1)
+        clock = np.stack([np.asarray(value, dtype=np.float64) for value in self.clock], axis=1)
         kept = [self.history, action, self.slewed, clock, self.velocity, self.arms, self.carried, self.trim]
         return np.concatenate(kept, axis=1)
 
@@ -157,7 +158,7 @@ class Tick:
         state = np.zeros((len(slewed), STATE_SIZE))
         state[:, :HISTORY_SIZE] = np.tile(sensors.frame(), (1, features.HISTORY))
         state[:, SLEWED] = slewed
-        state[:, CLOCK], state[:, CLOCK + 1], state[:, STANDING] = clock
+        state[:, CLOCK : VELOCITY.start] = np.stack(clock, axis=1)
         state[:, ARMS] = arms
         return state
 
@@ -185,9 +186,12 @@ class Tick:
             state[:, CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, CONTROL_DT
         )
         startled = self._startled(current, before, carried, found, velocity)
-        clock = reference.advance_clock(
-            state[:, CLOCK], state[:, CLOCK + 1], stood, slewed[:, :3], startled, self.reference.gait
+        gait, clock = (
+            self.reference.gait,
+            reference.Clock(state[:, CLOCK], state[:, CLOCK + 1], stood, state[:, RECOVERS]),
         )
+        pushed = reference.pushed(velocity, slewed, gait)
+        clock = reference.advance_clock(clock, slewed[:, :3], startled, pushed, gait)
         turning = -(down * gyro).sum(axis=1)
         measured = np.stack([turning, found.height, *attitude.roll_pitch(down_torso), waist[:, 0]], axis=1)
         constant = (np.abs(goal - current) < CONSTANT).all(axis=1, keepdims=True)

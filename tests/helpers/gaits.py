@@ -7,6 +7,11 @@ from gym_demohlm.control.settings import Gait
 GAITS = {
     "first": Gait(),
     "every part of it": Gait(
+        inward=0.3,
+        recovery_s=2.5,
+        recovery_speed=0.2,
+        recovery_spread=0.13,
+        recovery_period_s=0.5,
         spread=0.08,
         swing_upright=0.6,
         ankle_upright=0.5,

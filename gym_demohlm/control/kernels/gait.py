@@ -18,7 +18,7 @@ _WALK_HEIGHT, (_PITCH_BACK, _PITCH_AHEAD), _WALK_YAW = reference.WALK_HEIGHT, re
 _NEARLY_THERE, _THRESHOLD = reference.NEARLY_THERE, reference.WALK_THRESHOLD
 _SQUARE_UP = reference.STEPS_TO_SQUARE_UP
 _UPRIGHT_ROLL, _OUTSIDE = reference.UPRIGHT_ROLL, reference.OUTSIDE
-_WIDENS, _LARGEST_TILT = reference.WIDENS, reference.LARGEST_TILT
+_WIDENS, _LARGEST_TILT, _PUSHED_AHEAD = reference.WIDENS, reference.LARGEST_TILT, reference.PUSHED_AHEAD
 _HIP_SPREAD, _SOLE_DROP = g1.HIP_SPREAD, g1.SOLE_DROP
 _HIP_YAW = g1.LEG_JOINTS.index("left_hip_yaw")
 _HIP_PITCH, _HIP_ROLL, _KNEE, _ANKLE_PITCH, _ANKLE_ROLL = 0, 1, 3, 4, 5
@@ -37,7 +37,12 @@ class GaitNumbers(NamedTuple):
     sway: float
     widen: float
     placement_s: float
+    inward: float
     spread: float
+    recovery_s: float
+    recovery_speed: float
+    recovery_spread: float
+    recovery_period_s: float
     swing_upright: float
     ankle_upright: float
     ankle_damping_s: float
@@ -82,9 +87,24 @@ def admissible(command, current, standing, goal):
 
 
 @inlined
-def advance_clock(phase, stopped, standing, velocity, startled, gait):
+def pushed(velocity, command, gait):
+    """``reference.pushed``."""
+    x, y = _PUSHED_AHEAD * (velocity[0] - command[0]), velocity[1] - command[1]
+    return x * x + y * y > gait.recovery_speed * gait.recovery_speed
+
+
+@inlined
+def period(recovers, gait):
+    """``reference.period``."""
+    return gait.period_s + min(2 * recovers, 1.0) * (gait.recovery_period_s - gait.period_s)
+
+
+@inlined
+def advance_clock(phase, stopped, standing, recovers, velocity, startled, pushed, gait):
     """``reference.advance_clock``."""
-    tick = CONTROL_DT / gait.period_s
+    if gait.recovery_s != 0.0:
+        recovers = 1.0 if pushed else max(recovers - CONTROL_DT / gait.recovery_s, 0.0)
+    tick = CONTROL_DT / period(recovers, gait)
     walk = startled
     for index in range(3):
         walk = walk or abs(velocity[index]) > _THRESHOLD[index]
@@ -94,7 +114,7 @@ def advance_clock(phase, stopped, standing, velocity, startled, gait):
     stands = not walk and (standing or (stopped >= _SQUARE_UP and both_down))
     rest = gait.rest_phases[0] if moved < 0.5 else gait.rest_phases[1]
     rest = phase if standing else rest
-    return rest if stands else moved, stopped, stands
+    return rest if stands else moved, stopped, stands, recovers
 
 
 @inlined
@@ -120,18 +140,21 @@ def _turn(c, phase, vx, vy, yaw_rate):
 
 
 @inlined
-def reference_targets(table, load, gait, command, phase, stopped, standing, velocity, arms, carried, attitude, out):
+def reference_targets(
+    table, load, gait, command, phase, stopped, standing, recovers, velocity, arms, carried, attitude, out
+):
     """``Reference.__call__``: into ``out`` (15,)."""
     vx, vy, yaw_rate = command[0], command[1], command[2]
     height, roll, pitch, yaw = command[3], command[4], command[5], command[6]
     moment_ahead, moment_aside = arms_moment(load, command, arms, carried)
     ahead, aside, tilt, bank = footing(table, command, moment_ahead, moment_aside)
     walking = not standing
-    half_stride = 0.5 * (1 - gait.swing) * gait.period_s
+    half_stride = 0.5 * (1 - gait.swing) * period(recovers, gait)
     sway = gait.sway * math.sin(2 * np.pi * (phase + 0.05)) if walking else 0.0
     extra_x = clip(velocity[0] - vx, -0.6, 0.6) * gait.placement_s
     extra_y = clip(velocity[1] - vy, -0.6, 0.6) * gait.placement_s
-    apart = gait.spread + (_HIP_SPREAD - gait.spread) * min(stopped / _WIDENS, 1.0)
+    spread = gait.spread + min(2 * recovers, 1.0) * (gait.recovery_spread - gait.spread)
+    apart = spread + (_HIP_SPREAD - spread) * min(stopped / _WIDENS, 1.0)
     spread = apart + gait.widen * abs(vy) if walking else _HIP_SPREAD + 0.0
     unplanned_pitch = clip(attitude[0] - tilt, -_LARGEST_TILT, _LARGEST_TILT)
     unplanned_roll = clip(attitude[1] - bank, -_LARGEST_TILT, _LARGEST_TILT)
@@ -155,7 +178,8 @@ def reference_targets(table, load, gait, command, phase, stopped, standing, velo
         wave = math.sin(np.pi * u)
         lift = gait.lift * (wave * wave) if swings and walking else 0.0
         x = vx * progress + extra_x * reach + ahead
-        y = vy * progress + extra_y * reach + (sway + aside) + spread * side
+        beside = extra_y * (gait.inward if extra_y * side < 0 else 1.0)
+        y = vy * progress + beside * reach + (sway + aside) + spread * side
         z = lift - height + _SOLE_DROP
         leg_tilt, leg_bank = tilt, bank
         if gait.swing_upright != 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 from gym_demohlm.control import features, reference, tick, velocity_map
 from gym_demohlm.control.kernels.arms import arms_moment, weigh
 from gym_demohlm.control.kernels.compiler import compiled
-from gym_demohlm.control.kernels.gait import GaitNumbers, act, admissible, advance_clock, reference_targets
+from gym_demohlm.control.kernels.gait import GaitNumbers, act, admissible, advance_clock, pushed, reference_targets
 from gym_demohlm.control.kernels.legs import odometry_estimate
 from gym_demohlm.control.kernels.postures import balanced, capture_point, clip, copy, gravity, in_torso, roll_pitch
 from gym_demohlm.control.odometry import FILTER
@@ -19,6 +19,7 @@ _FRAME, _HISTORY, _LEGS, _LOWER = features.FRAME_SIZE, tick.HISTORY_SIZE, tick.L
 _JOINTS, _ARM_JOINTS = len(features.OBSERVED_JOINTS), len(features.OBSERVED_ARM_JOINTS)
 _SEEN, _SEEN_ARMS = features.OBSERVED_INDEX, features.OBSERVED_ARM_INDEX
 _ACTION, _SLEWED, _CLOCK = tick.LAST_ACTION.start, tick.SLEWED.start, tick.CLOCK
+_RECOVERS = tick.RECOVERS
 _VELOCITY, _ARMS, _CARRIED, _TRIM = tick.VELOCITY.start, tick.ARMS.start, tick.CARRIED.start, tick.TRIM.start
 _ACTION_SIZE, _STATE_SIZE, _SIZE = features.ACTION_SIZE, tick.STATE_SIZE, features.OBSERVATION_SIZE
 _REST, _WHILE_STANDING, _CONSTANT = tick.REST, tick.WHILE_STANDING, tick.CONSTANT
@@ -163,8 +164,12 @@ def perceive(numbers, state, quat_wxyz, gyro, q, dq, commands, arms_column, afte
         else:
             startled = abs(velocity[0]) > _STARTLE_SPEED[0] or abs(velocity[1]) > _STARTLE_SPEED[1]
         startled = startled or sole_tilt > _STARTLE_TILT
-        phase, stopped, standing = advance_clock(before[_CLOCK], before[_CLOCK + 1], stood, slewed, startled, gait)
+        phase, stopped, standing, recovers = advance_clock(
+            before[_CLOCK], before[_CLOCK + 1], stood, before[_RECOVERS], slewed, startled,
+            pushed(velocity, slewed, gait), gait,
+        )  # fmt: skip
         now[_CLOCK], now[_CLOCK + 1], now[_CLOCK + 2] = phase, stopped, 1.0 if standing else 0.0
+        now[_RECOVERS] = recovers
         # The slow correction.
         measured[0], measured[1] = -(down[0] * turn[0] + down[1] * turn[1] + down[2] * turn[2]), height
         measured[2], measured[3] = roll_pitch(tx, ty, tz)
@@ -232,6 +237,7 @@ def targets(numbers, after, told, attitude, action, lower, upper, out):
         standing = now[_CLOCK + 2] > 0.5
         reference_targets(
             numbers.table, numbers.load, numbers.gait, told[world], now[_CLOCK], now[_CLOCK + 1], standing,
-            now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM], attitude[world], out[world],
+            now[_RECOVERS], now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM], attitude[world],
+            out[world],
         )  # fmt: skip
         act(action[world], standing, now[_SLEWED + 3 : _CLOCK], lower, upper, out[world])

@@ -199,7 +199,7 @@ class WholeBodyMdp:
         command, arms = self.commands.start(worlds), self.commands.arms[worlds]
         walk = (np.abs(self.commands.goal[worlds, :3]) > reference.WALK_THRESHOLD).any(axis=1)
         phase = self.rng.choice(self.config.gait.rest_phases, count)
-        clock = reference.Clock(phase, np.where(walk, 0.0, 2.0), np.logical_not(walk))
+        clock = reference.Clock(phase, np.where(walk, 0.0, 2.0), np.logical_not(walk), np.zeros(count))
         moment = self.reference.arms_moment(command, arms, np.zeros((count, 2)))
         targets = self.reference.pose(command, reference.at_rest(count), np.zeros((count, 2)), moment)
         lean, _ = attitude.lean(command[:, 4], command[:, 5], command[:, 6])

@@ -13,7 +13,7 @@ from gym_demohlm.tasks.stack_cube import STACKED
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-START: InitialState = {"robot": [-0.06, 0.02, 0.0], "object": [0.0, 0.0, 0.0]}
+START: InitialState = {"robot": [-0.06, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: far enough from the table for its arms to rise."""
 TILT = 0.3  # rad, fingers down
 GRIP = (-0.005, 0.0, 0.010)  # m, the palm from the cube's centre: the finger tips stay clear of what is below the cube

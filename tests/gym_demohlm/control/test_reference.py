@@ -23,7 +23,9 @@ def _situations(seed: int) -> tuple[np.ndarray, reference.Clock, np.ndarray, np.
     rng = np.random.default_rng(seed)
     commands = rng.uniform([-0.5, -0.4, -1, 0.62, 0, -0.2, -0.3], [0.8, 0.4, 1, 0.76, 0, 0.3, 0.3], (_WORLDS, 7))
     standing = rng.random(_WORLDS) < 0.2
-    clock = reference.Clock(rng.random(_WORLDS), rng.uniform(0, 1, _WORLDS) * (rng.random(_WORLDS) < 0.5), standing)
+    clock = reference.Clock(
+        rng.random(_WORLDS), rng.uniform(0, 1, _WORLDS) * (rng.random(_WORLDS) < 0.5), standing, rng.random(_WORLDS)
+    )
     return commands, clock, *(rng.normal(0, 0.1, (_WORLDS, size)) for size in (2, 2, 4))
 
 
@@ -51,7 +53,9 @@ def test_a_gait_of_today_takes_no_notice_of_the_attitude() -> None:
 def test_a_swinging_foot_lands_where_it_would_without_a_tilt() -> None:
     """With the whole tilt made up for, the foot at the end of its swing is where it was planned, seen upright."""
     commands, _, velocity, moment, _ = _situations(2)
-    clock = reference.Clock(np.full(_WORLDS, 0.4 - 1e-9), np.zeros(_WORLDS), np.zeros(_WORLDS, dtype=bool))
+    clock = reference.Clock(
+        np.full(_WORLDS, 0.4 - 1e-9), np.zeros(_WORLDS), np.zeros(_WORLDS, dtype=bool), np.zeros(_WORLDS)
+    )
     pose = _pose(Gait(swing_upright=1.0))
     footing = pose.footing(commands, moment)
     off = np.random.default_rng(3).uniform(-0.15, 0.15, (_WORLDS, 2))
@@ -73,7 +77,7 @@ def _in_heading(points: np.ndarray, attitude: np.ndarray) -> np.ndarray:
 
 def test_feet_walk_as_far_apart_as_the_gait_says_and_stand_under_the_hips() -> None:
     commands = np.tile([0.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0], (3, 1))
-    clock = reference.Clock(np.full(3, 0.45), np.array([0.0, 0.125, 0.0]), np.array([False, False, True]))
+    clock = reference.Clock(np.full(3, 0.45), np.array([0.0, 0.125, 0.0]), np.array([False, False, True]), np.zeros(3))
     zero = np.zeros((3, 2))
     legs = _pose(Gait(spread=0.08)).pose(commands, clock, zero, zero)[:, :12]
     left, right = np.moveaxis(odometry.sole_points(legs), 1, 0)

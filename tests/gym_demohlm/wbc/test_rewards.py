@@ -34,7 +34,7 @@ def _outcome(seed: int = 0) -> Outcome:
     return Outcome(
         m=Measured(**measured),
         command=command,
-        clock=reference.Clock(rng.random(_WORLDS), np.zeros(_WORLDS), rng.random(_WORLDS) < 0.5),
+        clock=reference.Clock(rng.random(_WORLDS), np.zeros(_WORLDS), rng.random(_WORLDS) < 0.5, np.zeros(_WORLDS)),
         gait=Gait(),
         action=actions[0],
         last_action=actions[1],
