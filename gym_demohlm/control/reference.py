@@ -65,7 +65,7 @@ class Clock(NamedTuple):
         phase: (N,) in [0, 1).
         stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
         standing: (N,) bool, whether the clock rests.
-        recovers: (N,) 1 after a push, down to 0 over ``Gait.recovery_s``.
+        recovers: (N,) 1 after a push, down to 0 over ``Gait.recovery_s``; 0 while the clock rests.
     """
 
     phase: np.ndarray
@@ -218,7 +218,7 @@ def advance_clock(
     both_down = (moved % 0.5) >= gait.swing
     stands = ~walk & (standing | ((stopped >= STEPS_TO_SQUARE_UP) & both_down))
     rest = np.where(standing, phase, np.where(moved < 0.5, gait.rest_phases[0], gait.rest_phases[1]))
-    return Clock(np.where(stands, rest, moved), stopped, stands, recovers)
+    return Clock(np.where(stands, rest, moved), stopped, stands, np.where(stands, 0.0, recovers))
 
 
 def period(recovers: np.ndarray, gait: Gait = GAIT) -> np.ndarray:

@@ -21,14 +21,13 @@ LAST_ACTION = slice(HISTORY_SIZE, HISTORY_SIZE + features.ACTION_SIZE)
 SLEWED = slice(LAST_ACTION.stop, LAST_ACTION.stop + 7)
 CLOCK = SLEWED.stop
 STANDING = CLOCK + 2
-RECOVERS = CLOCK + 3
-VELOCITY = slice(CLOCK + 4, CLOCK + 6)
+VELOCITY = slice(CLOCK + 3, CLOCK + 5)
 ARMS = slice(VELOCITY.stop, VELOCITY.stop + len(features.OBSERVED_ARM_JOINTS))
 CARRIED = slice(ARMS.stop, ARMS.stop + 2)
 TRIM = slice(CARRIED.stop, CARRIED.stop + 5)
 STATE_SIZE = TRIM.stop
-"""Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing, recovery
-from a push, velocity from the odometry, arm targets, loads, trim."""
+"""Numbers that a controller remembers: history, last action, slewed command, phase, stopped, standing or, below
+zero, what is left of the recovery from a push, velocity from the odometry, arm targets, loads, trim."""
 
 REST = np.array([0.0, 0.0, 0.0, g1.PELVIS_HEIGHT, 0.0, 0.0, 0.0])  # of a slewed command
 _TRIMMED, _TORSO = slice(2, 7), slice(3, 7)  # of a slewed command
@@ -126,8 +125,16 @@ class Situation:
 
     def remember(self, action: np.ndarray) -> np.ndarray:
         """Return the state (N, STATE_SIZE) after this tick, in which the policy acted (N, 15)."""
-        clock = np.stack([np.asarray(value, dtype=np.float64) for value in self.clock], axis=1)
-        kept = [self.history, action, self.slewed, clock, self.velocity, self.arms, self.carried, self.trim]
+        kept = [
+            self.history,
+            action,
+            self.slewed,
+            _remembered(self.clock),
+            self.velocity,
+            self.arms,
+            self.carried,
+            self.trim,
+        ]
         return np.concatenate(kept, axis=1)
 
 
@@ -158,7 +165,7 @@ class Tick:
         state = np.zeros((len(slewed), STATE_SIZE))
         state[:, :HISTORY_SIZE] = np.tile(sensors.frame(), (1, features.HISTORY))
         state[:, SLEWED] = slewed
-        state[:, CLOCK : VELOCITY.start] = np.stack(clock, axis=1)
+        state[:, CLOCK : VELOCITY.start] = _remembered(clock)
         state[:, ARMS] = arms
         return state
 
@@ -186,10 +193,8 @@ class Tick:
             state[:, CARRIED], before, q[:, _LOWER:], dq[:, _LOWER:], down_torso, CONTROL_DT
         )
         startled = self._startled(current, before, carried, found, velocity)
-        gait, clock = (
-            self.reference.gait,
-            reference.Clock(state[:, CLOCK], state[:, CLOCK + 1], stood, state[:, RECOVERS]),
-        )
+        gait, recovers = self.reference.gait, np.maximum(-state[:, STANDING], 0.0)
+        clock = reference.Clock(state[:, CLOCK], state[:, CLOCK + 1], stood, recovers)
         pushed = reference.pushed(velocity, slewed, gait)
         clock = reference.advance_clock(clock, slewed[:, :3], startled, pushed, gait)
         turning = -(down * gyro).sum(axis=1)
@@ -242,3 +247,8 @@ class Tick:
         moment = self.reference.arms_moment(command, arms, carried)
         capture = self.reference.capture(command, moment, found.over_soles, velocity)
         return reference.escapes(capture, margins, found.sole_tilt)
+
+
+def _remembered(clock: reference.Clock) -> np.ndarray:
+    """Return a clock as the state holds it, (N, 3)."""
+    return np.stack([clock.phase, clock.stopped, np.where(clock.standing, 1.0, 0.0 - clock.recovers)], axis=1)

@@ -114,7 +114,7 @@ def advance_clock(phase, stopped, standing, recovers, velocity, startled, pushed
     stands = not walk and (standing or (stopped >= _SQUARE_UP and both_down))
     rest = gait.rest_phases[0] if moved < 0.5 else gait.rest_phases[1]
     rest = phase if standing else rest
-    return rest if stands else moved, stopped, stands, recovers
+    return rest if stands else moved, stopped, stands, 0.0 if stands else recovers
 
 
 @inlined

@@ -19,7 +19,6 @@ _FRAME, _HISTORY, _LEGS, _LOWER = features.FRAME_SIZE, tick.HISTORY_SIZE, tick.L
 _JOINTS, _ARM_JOINTS = len(features.OBSERVED_JOINTS), len(features.OBSERVED_ARM_JOINTS)
 _SEEN, _SEEN_ARMS = features.OBSERVED_INDEX, features.OBSERVED_ARM_INDEX
 _ACTION, _SLEWED, _CLOCK = tick.LAST_ACTION.start, tick.SLEWED.start, tick.CLOCK
-_RECOVERS = tick.RECOVERS
 _VELOCITY, _ARMS, _CARRIED, _TRIM = tick.VELOCITY.start, tick.ARMS.start, tick.CARRIED.start, tick.TRIM.start
 _ACTION_SIZE, _STATE_SIZE, _SIZE = features.ACTION_SIZE, tick.STATE_SIZE, features.OBSERVATION_SIZE
 _REST, _WHILE_STANDING, _CONSTANT = tick.REST, tick.WHILE_STANDING, tick.CONSTANT
@@ -165,11 +164,10 @@ def perceive(numbers, state, quat_wxyz, gyro, q, dq, commands, arms_column, afte
             startled = abs(velocity[0]) > _STARTLE_SPEED[0] or abs(velocity[1]) > _STARTLE_SPEED[1]
         startled = startled or sole_tilt > _STARTLE_TILT
         phase, stopped, standing, recovers = advance_clock(
-            before[_CLOCK], before[_CLOCK + 1], stood, before[_RECOVERS], slewed, startled,
+            before[_CLOCK], before[_CLOCK + 1], stood, max(-before[_CLOCK + 2], 0.0), slewed, startled,
             pushed(velocity, slewed, gait), gait,
         )  # fmt: skip
-        now[_CLOCK], now[_CLOCK + 1], now[_CLOCK + 2] = phase, stopped, 1.0 if standing else 0.0
-        now[_RECOVERS] = recovers
+        now[_CLOCK], now[_CLOCK + 1], now[_CLOCK + 2] = phase, stopped, 1.0 if standing else 0.0 - recovers
         # The slow correction.
         measured[0], measured[1] = -(down[0] * turn[0] + down[1] * turn[1] + down[2] * turn[2]), height
         measured[2], measured[3] = roll_pitch(tx, ty, tz)
@@ -212,7 +210,7 @@ def perceive(numbers, state, quat_wxyz, gyro, q, dq, commands, arms_column, afte
         walks = 0.0 if standing else 1.0
         angle = 2 * np.pi * phase
         seen[first], seen[first + 1] = math.sin(angle) * walks, math.cos(angle) * walks
-        seen[first + 2] = now[_CLOCK + 2]
+        seen[first + 2] = 1.0 - walks
         seen[first + 3], seen[first + 4] = velocity[0], velocity[1]
         seen[_SIZE - 2], seen[_SIZE - 1] = carried[0], carried[1]
 
@@ -237,7 +235,7 @@ def targets(numbers, after, told, attitude, action, lower, upper, out):
         standing = now[_CLOCK + 2] > 0.5
         reference_targets(
             numbers.table, numbers.load, numbers.gait, told[world], now[_CLOCK], now[_CLOCK + 1], standing,
-            now[_RECOVERS], now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM], attitude[world],
+            max(-now[_CLOCK + 2], 0.0), now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM], attitude[world],
             out[world],
         )  # fmt: skip
         act(action[world], standing, now[_SLEWED + 3 : _CLOCK], lower, upper, out[world])
