@@ -12,7 +12,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, least_squares
-from gym_demohlm.control import reference
+from gym_demohlm.control import gait_clock
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import STEP_DT
 
@@ -95,5 +95,5 @@ class Foresight:
 
 def _basis(times: np.ndarray) -> np.ndarray:
     """Return what is fitted, at times (n,) [s]: powers, then cosines and sines, (n, terms)."""
-    angles = 2 * np.pi * np.outer(times, np.arange(1, _HARMONICS + 1)) / reference.GAIT.period_s
+    angles = 2 * np.pi * np.outer(times, np.arange(1, _HARMONICS + 1)) / gait_clock.GAIT.period_s
     return np.concatenate([times[:, None] ** np.arange(_DEGREE + 1), np.cos(angles), np.sin(angles)], axis=1)

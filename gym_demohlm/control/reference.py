@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gym_demohlm.arithmetic import arcsin, arctan
-from gym_demohlm.control import attitude, features, leg_ik
+from gym_demohlm.control import attitude, features, gait_clock, leg_ik
 from gym_demohlm.control.arm_load import GRAVITY, ArmLoad
 from gym_demohlm.control.settings import Gait, Settings
 from gym_demohlm.robot import g1
@@ -21,9 +21,6 @@ from gym_demohlm.timing import CONTROL_DT
 NUM_LOWER = len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS)  # the joints that the policy drives
 
 
-GAIT = Gait()
-REST_PHASES = GAIT.rest_phases
-WALK_THRESHOLD = np.array([0.04, 0.04, 0.08])  # m/s, m/s, rad/s: slower commands mean "stand"
 SLEW = Settings().slew
 WALK_HEIGHT = 0.60  # m: lowest while stepping
 WALK_PITCH = (-0.3, 0.4)  # rad: torso pitch while stepping
@@ -36,9 +33,6 @@ LEAN_ASIDE = 0.70  # sine of the sideways lean that rolling a turned and bent to
 UPRIGHT_ROLL = 0.1  # rad
 OUTSIDE = np.array([0.05, 0.1, 0.1, 0.1, 0.1])  # m, rad: so far outside the postures of a walk the soles may turn
 TURNS = np.array([joint.endswith("hip_yaw") for joint in features.DRIVEN_JOINTS])
-STEPS_TO_SQUARE_UP = 1.0  # gait periods walked in place after the command stops, so that both feet end under the hips
-# A robot at rest takes steps when its pelvis moves faster than its feet can hold [m/s], or tips over its soles [rad].
-STARTLE_SPEED, STARTLE_TILT = np.array([0.25, 0.35]), 0.2
 
 # Grid of the quasi-static table and its axes: pelvis height [m] and forward lean of the torso [rad].
 TABLE_HEIGHTS = np.linspace(0.40, 0.76, 10)
@@ -51,32 +45,10 @@ ARMS_SAG = np.array([0.5 / g1.motor("hip_pitch").stiffness, 0.25 / g1.motor("kne
 HIP_ROLL_SAG = 0.13  # rad: how far the pelvis hangs down from the one leg that bears it
 WAIST_STIFFNESS = g1.motor("waist_pitch").stiffness
 _HALF_PERIODS, _SIDES = np.array([0.0, 0.5]), np.array([1.0, -1.0])  # left, right foot
-PUSHED_AHEAD = 0.5  # weight of an error along the way in what tells a push: every change of command makes one
 WIDENS = 0.25  # gait periods after the command stops in which the feet walk apart
 LARGEST_TILT = 0.3  # rad, unplanned, that legs make up for
 _HIP_YAWS = [g1.LEG_JOINTS.index(f"{side}_hip_yaw") for side in g1.SIDES]
 SOLE_MIDDLE = 0.035  # m, of a sole, ahead of its ankle
-
-
-class Clock(NamedTuple):
-    """A gait clock.
-
-    Attributes:
-        phase: (N,) in [0, 1).
-        stopped: (N,) gait periods since the command, or a loss of balance, last asked for steps.
-        standing: (N,) bool, whether the clock rests.
-        recovers: (N,) 1 after a push, down to 0 over ``Gait.recovery_s``; 0 while the clock rests.
-    """
-
-    phase: np.ndarray
-    stopped: np.ndarray
-    standing: np.ndarray
-    recovers: np.ndarray
-
-
-def at_rest(count: int) -> Clock:
-    """Return the clocks of robots that have stood still for long."""
-    return Clock(np.full(count, REST_PHASES[0]), np.full(count, 2.0), np.ones(count, dtype=bool), np.zeros(count))
 
 
 def admissible(goal: np.ndarray, current: np.ndarray, standing: np.ndarray) -> np.ndarray:
@@ -162,70 +134,6 @@ def slew(current: np.ndarray, goal: np.ndarray, rates: Sequence[float] = SLEW) -
     return current + np.clip(goal - current, -step, step)
 
 
-def startled(velocity: np.ndarray, sole_tilt: np.ndarray) -> np.ndarray:
-    """Return who must step to keep upright (N,) bool, from the odometry: velocity (N, 2) and sole tilt (N,)."""
-    return (np.abs(velocity) > STARTLE_SPEED).any(axis=1) | (sole_tilt > STARTLE_TILT)
-
-
-def escapes(capture: np.ndarray, margins: tuple[float, float, float], sole_tilt: np.ndarray) -> np.ndarray:
-    """Return who must step to keep upright, (N,) bool.
-
-    Args:
-        capture: (N, 2) from ``Reference.capture`` [m].
-        margins: How far it may be ahead, behind and beside [m].
-        sole_tilt: (N,) [rad].
-    """
-    ahead, aside = np.ascontiguousarray(capture.T)
-    out = (ahead > margins[0]) | (ahead < -margins[1]) | (np.abs(aside) > margins[2])
-    return out | (sole_tilt > STARTLE_TILT)
-
-
-def pushed(velocity: np.ndarray, command: np.ndarray, gait: Gait = GAIT) -> np.ndarray:
-    """Return who moves so differently from the command that it must have been pushed, (N,) bool.
-
-    Args:
-        velocity: (N, 2) from the odometry [m/s].
-        command: (N, 2 or more) slewed, velocity first.
-        gait: Which says how differently.
-    """
-    x, y = np.ascontiguousarray((velocity - command[:, :2]).T)
-    x = PUSHED_AHEAD * x
-    return x * x + y * y > gait.recovery_speed * gait.recovery_speed
-
-
-def advance_clock(
-    clock: Clock, velocity: np.ndarray, startled: np.ndarray, pushed: np.ndarray, gait: Gait = GAIT
-) -> Clock:
-    """Advance the gait clock by one control tick.
-
-    Args:
-        clock: After the tick before.
-        velocity: (N, 3) commanded velocity.
-        startled: (N,) bool, who loses balance.
-        pushed: (N,) bool, who was pushed.
-        gait: Whose clock it is.
-
-    Returns:
-        The clock now.
-    """
-    phase, stopped, standing, recovers = clock
-    if gait.recovery_s:
-        recovers = np.where(pushed, 1.0, np.maximum(recovers - CONTROL_DT / gait.recovery_s, 0.0))
-    tick = CONTROL_DT / period(recovers, gait)
-    walk = (np.abs(velocity) > WALK_THRESHOLD).any(axis=1) | startled
-    stopped = np.where(walk, 0.0, np.minimum(stopped + tick, 10.0))
-    moved = (phase + tick) % 1.0
-    both_down = (moved % 0.5) >= gait.swing
-    stands = ~walk & (standing | ((stopped >= STEPS_TO_SQUARE_UP) & both_down))
-    rest = np.where(standing, phase, np.where(moved < 0.5, gait.rest_phases[0], gait.rest_phases[1]))
-    return Clock(np.where(stands, rest, moved), stopped, stands, np.where(stands, 0.0, recovers))
-
-
-def period(recovers: np.ndarray, gait: Gait = GAIT) -> np.ndarray:
-    """Return the time of two steps (N,) [s] of robots that recover from a push by a share (N,)."""
-    return gait.period_s + np.minimum(2 * recovers, 1.0) * (gait.recovery_period_s - gait.period_s)
-
-
 def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     """Return which interval of an even axis a value is in, where in it in [0, 1], and intervals a unit (0 outside)."""
     first, a_unit = float(axis[0]), (len(axis) - 1) / float(axis[-1] - axis[0])
@@ -233,13 +141,6 @@ def _cell(value: float, axis: np.ndarray) -> tuple[int, float, float]:
     index = min(max(int(place), 0), len(axis) - 2)
     inside = 0.0 <= place <= len(axis) - 1
     return index, min(max(place - index, 0.0), 1.0), a_unit if inside else 0.0
-
-
-def swing_state(phase: np.ndarray, standing: np.ndarray, gait: Gait = GAIT) -> tuple[np.ndarray, np.ndarray]:
-    """Return which feet should be in the air (N, 2) bool and how high their soles should be (N, 2) [m]; left, right."""
-    own = (phase[:, None] + np.array([0.0, 0.5])) % 1.0
-    swing = (own < gait.swing) & ~standing[:, None]
-    return swing, np.where(swing, gait.lift * np.sin(np.pi * own / gait.swing) ** 2, 0.0)
 
 
 class Footing(NamedTuple):
@@ -271,7 +172,7 @@ class Reference:
         ahead: (len(TABLE_HEIGHTS), len(TABLE_PITCHES)) how far ahead of its ankles the pelvis is, arms at home [m].
     """
 
-    def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray, gait: Gait = GAIT) -> None:
+    def __init__(self, posture_table: np.ndarray, arm_table: np.ndarray, gait: Gait = gait_clock.GAIT) -> None:
         self.gait = gait
         self.posture_table = np.array(posture_table, dtype=np.float64)
         self.arm_load = ArmLoad(arm_table)
@@ -328,7 +229,7 @@ class Reference:
     def __call__(
         self,
         command: np.ndarray,
-        clock: Clock,
+        clock: gait_clock.Clock,
         velocity: np.ndarray,
         arms: np.ndarray,
         carried: np.ndarray,
@@ -363,7 +264,7 @@ class Reference:
     def pose(
         self,
         command: np.ndarray,
-        clock: Clock,
+        clock: gait_clock.Clock,
         velocity: np.ndarray,
         moment: np.ndarray,
         attitude_now: np.ndarray | None = None,
@@ -385,8 +286,7 @@ class Reference:
         ahead, aside, tilt, bank = self.footing(command, moment)
         walking = ~standing
         targets = np.zeros((len(command), NUM_LOWER))
-        # s: from mid-stance to lift-off
-        half_stride = 0.5 * (1 - gait.swing) * period(recovers, gait)[:, None]
+        half_stride = 0.5 * (1 - gait.swing) * gait_clock.period(recovers, gait)[:, None]  # s: mid-stance to lift-off
         sway = np.where(walking, gait.sway * np.sin(2 * np.pi * (phase + 0.05)), 0.0)
         extra = np.clip(velocity - command[:, :2], -0.6, 0.6) * gait.placement_s
         own = (phase[:, None] + _HALF_PERIODS) % 1.0  # (N, 2), left and right
@@ -397,7 +297,7 @@ class Reference:
         progress = np.where(walks, np.where(swings, -1 + 2 * eased, 1 - 2 * v), 0.0) * half_stride
         reach = np.where(walks, np.where(swings, eased, 1 - v), 0.0)
         lift = np.where(swings & walks, gait.lift * np.sin(np.pi * u) ** 2, 0.0)
-        spread = gait.spread + np.minimum(2 * recovers, 1.0) * (gait.recovery_spread - gait.spread)
+        spread = gait_clock.spread(recovers, gait)
         apart = spread + (g1.HIP_SPREAD - spread) * np.minimum(stopped / WIDENS, 1.0)
         beside = extra[:, 1:] * np.where(extra[:, 1:] * _SIDES < 0, gait.inward, 1.0)
         out = np.where(walking, apart, g1.HIP_SPREAD) + np.where(walking, gait.widen * np.abs(vy), 0.0)

@@ -29,10 +29,11 @@ class Gait:
         sway: Amplitude of the lateral sway of the pelvis [m].
         widen: How much wider each foot stands for a sideways speed [m per m/s], so that the feet never cross.
         placement_s: Feet land this much further out for a velocity error [m per m/s]: Raibert's foot placement.
-        inward: Share of that for a foot that would land towards the other one, so that they never cross.
+        inward: Share of that for a foot that would land towards the other one, where it has little room.
         spread: How far each foot walks beside the middle [m]; a robot at rest stands with its feet under its hips.
-        recovery_s: How long a robot that was pushed walks wider and faster than it does otherwise [s]; 0 for never.
-        recovery_speed: The error of velocity that tells a push [m/s].
+        recovery_s: How long a robot that was pushed walks wider and faster than it does otherwise [s]: fully in the
+            first half of it, less and less in the second. 0 for never.
+        recovery_speed: The error of velocity that tells a push [m/s], see ``gait_clock.pushed``.
         recovery_spread: ``spread`` of a robot that was pushed just now [m].
         recovery_period_s: ``period_s`` of a robot that was pushed just now [s].
         swing_upright: Share of an unplanned tilt of the pelvis that the swinging leg makes up for, to land where it
@@ -68,12 +69,15 @@ class Gait:
         """Check what would divide by zero or index wrongly.
 
         Raises:
-            SceneError: A period or swing out of range, or not NUM_TURN coefficients.
+            SceneError: A period, swing or recovery out of range, or not NUM_TURN coefficients.
         """
         object.__setattr__(self, "turn", tuple(float(value) for value in self.turn))
         if not (self.period_s > 0.1 and 0.05 < self.swing < 0.5 and len(self.turn) == NUM_TURN):
             got = f"a gait of period {self.period_s} s, swing {self.swing}, {len(self.turn)} coefficients of turning"
             raise SceneError(got, f"more than 0.1 s, 0.05 to 0.5, {NUM_TURN}", "check the file it was read from")
+        if not (self.recovery_period_s > 0.1 and self.recovery_s >= 0.0 and self.recovery_speed > 0.0):
+            got = f"a recovery of {self.recovery_s} s, {self.recovery_speed} m/s, period {self.recovery_period_s} s"
+            raise SceneError(got, "0 or more, above 0, more than 0.1 s", "check the file it was read from")
 
     @property
     def rest_phases(self) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gym_demohlm.control import attitude, features, odometry, reference, trim, velocity_map
+from gym_demohlm.control import attitude, features, gait_clock, odometry, reference, trim, velocity_map
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.robot import g1
@@ -91,7 +91,7 @@ class Situation:
     last_action: np.ndarray
     slewed: np.ndarray
     told: np.ndarray
-    clock: reference.Clock
+    clock: gait_clock.Clock
     velocity: np.ndarray
     arms: np.ndarray
     arm_velocity: np.ndarray
@@ -153,7 +153,7 @@ class Tick:
         self._further = np.array(settings.gain) - 1.0
         self._map = velocity_map.coefficients(settings.velocity_map)
 
-    def start(self, sensors: Sensors, slewed: np.ndarray, clock: reference.Clock, arms: np.ndarray) -> np.ndarray:
+    def start(self, sensors: Sensors, slewed: np.ndarray, clock: gait_clock.Clock, arms: np.ndarray) -> np.ndarray:
         """Return the state (N, STATE_SIZE) of controllers that begin.
 
         Args:
@@ -194,9 +194,9 @@ class Tick:
         )
         startled = self._startled(current, before, carried, found, velocity)
         gait, recovers = self.reference.gait, np.maximum(-state[:, STANDING], 0.0)
-        clock = reference.Clock(state[:, CLOCK], state[:, CLOCK + 1], stood, recovers)
-        pushed = reference.pushed(velocity, slewed, gait)
-        clock = reference.advance_clock(clock, slewed[:, :3], startled, pushed, gait)
+        clock = gait_clock.Clock(state[:, CLOCK], state[:, CLOCK + 1], stood, recovers)
+        pushed = gait_clock.pushed(velocity, slewed, gait)
+        clock = gait_clock.advance_clock(clock, slewed[:, :3], startled, pushed, gait)
         turning = -(down * gyro).sum(axis=1)
         measured = np.stack([turning, found.height, *attitude.roll_pitch(down_torso), waist[:, 0]], axis=1)
         constant = (np.abs(goal - current) < CONSTANT).all(axis=1, keepdims=True)
@@ -243,12 +243,12 @@ class Tick:
         """Return who must step to keep upright, (N,) bool, by the command and the arms of the tick before."""
         margins = self.reference.gait.capture
         if margins is None:
-            return reference.startled(velocity, found.sole_tilt)
+            return gait_clock.startled(velocity, found.sole_tilt)
         moment = self.reference.arms_moment(command, arms, carried)
         capture = self.reference.capture(command, moment, found.over_soles, velocity)
-        return reference.escapes(capture, margins, found.sole_tilt)
+        return gait_clock.escapes(capture, margins, found.sole_tilt)
 
 
-def _remembered(clock: reference.Clock) -> np.ndarray:
+def _remembered(clock: gait_clock.Clock) -> np.ndarray:
     """Return a clock as the state holds it, (N, 3)."""
     return np.stack([clock.phase, clock.stopped, np.where(clock.standing, 1.0, 0.0 - clock.recovers)], axis=1)

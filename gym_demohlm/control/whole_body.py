@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.arithmetic import ExactProduct
-from gym_demohlm.control import arm_load, command, features, reference
+from gym_demohlm.control import arm_load, command, features, gait_clock, reference
 from gym_demohlm.control.kernels import network
 from gym_demohlm.control.kernels import tick as kernels
 from gym_demohlm.control.proprioception import Proprioception
@@ -184,7 +184,7 @@ class WholeBodyController:
         sensors, count = Sensors.of(sensed), len(worlds)
         slewed = np.tile(command.rest()[:7], (count, 1))
         arms = sensors.q[:, reference.NUM_LOWER :]
-        self.state[worlds] = self._tick.start(sensors, slewed, reference.at_rest(count), arms)
+        self.state[worlds] = self._tick.start(sensors, slewed, gait_clock.at_rest(count), arms)
 
     def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by one tick of 0.02 s.

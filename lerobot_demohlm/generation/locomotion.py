@@ -7,7 +7,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import dot, norm, transposed_product
-from gym_demohlm.control import command, reference
+from gym_demohlm.control import command, gait_clock
 from gym_demohlm.timing import STEP_DT
 
 
@@ -125,7 +125,7 @@ def walk(
             bias = _integrate(bias, standing, goal, settings)
             velocity = walk_velocity(standing, base.velocity, goal, settings, bias)
             arrived = distance < settings.tolerance_m and abs(turn) < settings.tolerance_rad
-            if arrived or (np.abs(velocity) < reference.WALK_THRESHOLD).all():  # so slow that it would stand
+            if arrived or (np.abs(velocity) < gait_clock.WALK_THRESHOLD).all():  # so slow that it would stand
                 break
             yield _with_velocity(velocity)
             ticks += 1

@@ -1,11 +1,11 @@
-"""``control.reference``: what of a command is followed, the gait clock, and the targets of legs and waist."""
+"""``control.gait_clock`` and ``control.reference``: what of a command is followed, and targets of legs and waist."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.control import features, reference
+from gym_demohlm.control import features, gait_clock, reference
 from gym_demohlm.control.kernels.arms import arms_moment
 from gym_demohlm.control.kernels.compiler import inlined
 from gym_demohlm.control.kernels.legs import solve_leg
@@ -15,10 +15,10 @@ from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
 _WALK_HEIGHT, (_PITCH_BACK, _PITCH_AHEAD), _WALK_YAW = reference.WALK_HEIGHT, reference.WALK_PITCH, reference.WALK_YAW
-_NEARLY_THERE, _THRESHOLD = reference.NEARLY_THERE, reference.WALK_THRESHOLD
-_SQUARE_UP = reference.STEPS_TO_SQUARE_UP
+_NEARLY_THERE, _THRESHOLD = reference.NEARLY_THERE, gait_clock.WALK_THRESHOLD
+_SQUARE_UP = gait_clock.STEPS_TO_SQUARE_UP
 _UPRIGHT_ROLL, _OUTSIDE = reference.UPRIGHT_ROLL, reference.OUTSIDE
-_WIDENS, _LARGEST_TILT, _PUSHED_AHEAD = reference.WIDENS, reference.LARGEST_TILT, reference.PUSHED_AHEAD
+_WIDENS, _LARGEST_TILT, _PUSHED_AHEAD = reference.WIDENS, reference.LARGEST_TILT, gait_clock.PUSHED_AHEAD
 _HIP_SPREAD, _SOLE_DROP = g1.HIP_SPREAD, g1.SOLE_DROP
 _HIP_YAW = g1.LEG_JOINTS.index("left_hip_yaw")
 _HIP_PITCH, _HIP_ROLL, _KNEE, _ANKLE_PITCH, _ANKLE_ROLL = 0, 1, 3, 4, 5
@@ -88,20 +88,26 @@ def admissible(command, current, standing, goal):
 
 @inlined
 def pushed(velocity, command, gait):
-    """``reference.pushed``."""
+    """``gait_clock.pushed``."""
     x, y = _PUSHED_AHEAD * (velocity[0] - command[0]), velocity[1] - command[1]
     return x * x + y * y > gait.recovery_speed * gait.recovery_speed
 
 
 @inlined
+def recovery_share(recovers):
+    """``gait_clock.recovery_share``."""
+    return min(2 * recovers, 1.0)
+
+
+@inlined
 def period(recovers, gait):
-    """``reference.period``."""
-    return gait.period_s + min(2 * recovers, 1.0) * (gait.recovery_period_s - gait.period_s)
+    """``gait_clock.period``."""
+    return gait.period_s + recovery_share(recovers) * (gait.recovery_period_s - gait.period_s)
 
 
 @inlined
 def advance_clock(phase, stopped, standing, recovers, velocity, startled, pushed, gait):
-    """``reference.advance_clock``."""
+    """``gait_clock.advance_clock``."""
     if gait.recovery_s != 0.0:
         recovers = 1.0 if pushed else max(recovers - CONTROL_DT / gait.recovery_s, 0.0)
     tick = CONTROL_DT / period(recovers, gait)
@@ -153,7 +159,7 @@ def reference_targets(
     sway = gait.sway * math.sin(2 * np.pi * (phase + 0.05)) if walking else 0.0
     extra_x = clip(velocity[0] - vx, -0.6, 0.6) * gait.placement_s
     extra_y = clip(velocity[1] - vy, -0.6, 0.6) * gait.placement_s
-    spread = gait.spread + min(2 * recovers, 1.0) * (gait.recovery_spread - gait.spread)
+    spread = gait.spread + recovery_share(recovers) * (gait.recovery_spread - gait.spread)
     apart = spread + (_HIP_SPREAD - spread) * min(stopped / _WIDENS, 1.0)
     spread = apart + gait.widen * abs(vy) if walking else _HIP_SPREAD + 0.0
     unplanned_pitch = clip(attitude[0] - tilt, -_LARGEST_TILT, _LARGEST_TILT)

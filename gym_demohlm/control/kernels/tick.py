@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.control import features, reference, tick, velocity_map
+from gym_demohlm.control import features, gait_clock, reference, tick, velocity_map
 from gym_demohlm.control.kernels.arms import arms_moment, weigh
 from gym_demohlm.control.kernels.compiler import compiled
 from gym_demohlm.control.kernels.gait import GaitNumbers, act, admissible, advance_clock, pushed, reference_targets
@@ -26,7 +26,7 @@ _LARGEST_ARM_SPEED = tick.LARGEST_ARM_SPEED
 _GYRO_SCALE, _VELOCITY_SCALE = features.GYRO_SCALE, features.VELOCITY_SCALE
 _ARM_VELOCITY_SCALE = features.ARM_VELOCITY_SCALE
 _COMMAND_SCALE, _COMMAND_OFFSET = features.COMMAND_SCALE, features.COMMAND_OFFSET
-_STARTLE_SPEED, _STARTLE_TILT = reference.STARTLE_SPEED, reference.STARTLE_TILT
+_STARTLE_SPEED, _STARTLE_TILT = gait_clock.STARTLE_SPEED, gait_clock.STARTLE_TILT
 _SOLE_MIDDLE, _GRAVITY = reference.SOLE_MIDDLE, reference.GRAVITY
 _COMMAND = 7
 _MAP_INDEX, _MAP_CENTRE, _MAP_SCALE = velocity_map.INDEX, velocity_map.CENTRE, velocity_map.SCALE

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.control import command, features, reference
+from gym_demohlm.control import command, features, gait_clock, reference
 from gym_demohlm.robot import g1
 
 
@@ -26,7 +26,7 @@ class Figure:
     def stand(self, wanted: np.ndarray) -> np.ndarray:
         """Obey a command (23,) with the soles' middle at the origin; return the palms' poses, (2, 4, 4)."""
         data, base = self.data, self._base
-        at_rest = reference.at_rest(1), np.zeros((1, 2))
+        at_rest = gait_clock.at_rest(1), np.zeros((1, 2))
         arms = wanted[command.ARMS]
         moment = self._reference.arms_moment(wanted[None], arms[None, features.OBSERVED_ARM_INDEX], np.zeros((1, 2)))
         data.qpos[self._joints] = np.concatenate([self._reference.pose(wanted[None], *at_rest, moment)[0], arms])

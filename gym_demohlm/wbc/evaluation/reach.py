@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.control import command, reference
+from gym_demohlm.control import command, gait_clock
 from gym_demohlm.control.foresight import Foresight
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.control.whole_body import Weights
@@ -34,7 +34,7 @@ _CELL = 0.08  # m, edge of the cells among which targets are drawn uniformly
 
 STANDING_TOLERANCE, WALKING_TOLERANCE = 0.01, 0.02  # m
 WALKING_SPEED = (0.2, 0.3)  # m/s
-GAIT_SAMPLES = round(reference.GAIT.period_s / PHYSICS_DT)
+GAIT_SAMPLES = round(gait_clock.GAIT.period_s / PHYSICS_DT)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gym_demohlm.control import features, reference
+from gym_demohlm.control import features, gait_clock, reference
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
@@ -83,7 +83,7 @@ class CommandSampler:
         slow = rng.random(count) < 0.25  # the last steps towards a goal are slow
         velocity[slow] *= rng.uniform(0.1, 0.5, (slow.sum(), 1))
         command[:, :3] = velocity
-        stand |= (np.abs(velocity) < reference.WALK_THRESHOLD * 1.2).all(axis=1)
+        stand |= (np.abs(velocity) < gait_clock.WALK_THRESHOLD * 1.2).all(axis=1)
         command[stand, :3] = 0
         low = rng.random(count) < 0.75
         squat = np.where(low, rng.uniform(0.74 - 0.35 * level, 0.765, count), 0.74)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from gym_demohlm.control import attitude, features, reference
+from gym_demohlm.control import attitude, features, gait_clock, reference
 from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
 from gym_demohlm.control.tick import STATE_SIZE, Sensors, Situation, Tick
 from gym_demohlm.robot import g1
@@ -88,7 +88,7 @@ class MdpConfig:
     pushed_share: float = 0.6
     largest_delay: int = 4
     use_reference: bool = True
-    gait: Gait = reference.GAIT
+    gait: Gait = gait_clock.GAIT
     physics: Physics = PHYSICS
     reward_table: Mapping[str, rewards.RewardTerm] = field(default_factory=lambda: rewards.REWARDS)
     seed: int = 1
@@ -105,7 +105,7 @@ class _Rest(reference.Reference):
     def pose(
         self,
         command: np.ndarray,
-        clock: reference.Clock,
+        clock: gait_clock.Clock,
         velocity: np.ndarray,
         moment: np.ndarray,
         attitude_now: np.ndarray | None = None,
@@ -197,11 +197,11 @@ class WholeBodyMdp:
         count = len(worlds)
         self.commands.reset(worlds, self.level)
         command, arms = self.commands.start(worlds), self.commands.arms[worlds]
-        walk = (np.abs(self.commands.goal[worlds, :3]) > reference.WALK_THRESHOLD).any(axis=1)
+        walk = (np.abs(self.commands.goal[worlds, :3]) > gait_clock.WALK_THRESHOLD).any(axis=1)
         phase = self.rng.choice(self.config.gait.rest_phases, count)
-        clock = reference.Clock(phase, np.where(walk, 0.0, 2.0), np.logical_not(walk), np.zeros(count))
+        clock = gait_clock.Clock(phase, np.where(walk, 0.0, 2.0), np.logical_not(walk), np.zeros(count))
         moment = self.reference.arms_moment(command, arms, np.zeros((count, 2)))
-        targets = self.reference.pose(command, reference.at_rest(count), np.zeros((count, 2)), moment)
+        targets = self.reference.pose(command, gait_clock.at_rest(count), np.zeros((count, 2)), moment)
         lean, _ = attitude.lean(command[:, 4], command[:, 5], command[:, 6])
         _, tilt, _ = self.reference.statics(command[:, 3], lean)
         qpos = np.zeros((count, 7 + _JOINTS))

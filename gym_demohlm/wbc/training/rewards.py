@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gym_demohlm.control import attitude, features, reference
+from gym_demohlm.control import attitude, features, gait_clock
 from gym_demohlm.control.features import gravity
 from gym_demohlm.control.settings import Gait
 from gym_demohlm.errors import SceneError, UnknownNameError
@@ -160,7 +160,7 @@ class Outcome:
 
     m: Measured
     command: np.ndarray
-    clock: reference.Clock
+    clock: gait_clock.Clock
     gait: Gait
     action: np.ndarray
     last_action: np.ndarray
@@ -175,7 +175,7 @@ class Outcome:
     @property
     def stops(self) -> np.ndarray:
         """1 where no velocity is asked for, (N,)."""
-        return np.where((np.abs(self.command[:, :3]) < reference.WALK_THRESHOLD).all(axis=1), 1.0, 0.0)
+        return np.where((np.abs(self.command[:, :3]) < gait_clock.WALK_THRESHOLD).all(axis=1), 1.0, 0.0)
 
     @property
     def velocity_error(self) -> np.ndarray:
@@ -236,12 +236,12 @@ def _near(squared: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _schedule(o: Outcome) -> np.ndarray:
-    swings, _ = reference.swing_state(o.clock.phase, o.clock.standing, o.gait)
+    swings, _ = gait_clock.swing_state(o.clock.phase, o.clock.standing, o.gait)
     return (o.touches != swings).sum(axis=1) - 2.0
 
 
 def _swing_height(o: Outcome) -> np.ndarray:
-    _, height = reference.swing_state(o.clock.phase, o.clock.standing, o.gait)
+    _, height = gait_clock.swing_state(o.clock.phase, o.clock.standing, o.gait)
     return ((o.m.sole_height - height) ** 2).sum(axis=1)
 
 

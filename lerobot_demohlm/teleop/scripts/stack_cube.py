@@ -14,7 +14,8 @@ from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
 START: InitialState = {"robot": [-0.06, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
-"""Where the robot stands when the operator takes over: far enough from the table for its arms to rise."""
+"""Where the robot stands when the operator takes over: far enough from the table for its arms to rise, and so far left
+that the right upper arm stays clear of the trunk."""
 TILT = 0.3  # rad, fingers down
 GRIP = (-0.005, 0.0, 0.010)  # m, the palm from the cube's centre: the finger tips stay clear of what is below the cube
 ABOVE_BLUE = 0.006  # m, the red cube is let go at this height above the blue one

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.control import reference
+from gym_demohlm.control import gait_clock
 from gym_demohlm.control.foresight import Foresight
 from gym_demohlm.robot import g1
 
@@ -12,7 +12,7 @@ DT = 0.1
 
 def walk(time: float, sway: float) -> np.ndarray:
     """Pose of a pelvis that goes ahead on a slow curve and rolls with the gait."""
-    phase = 2 * np.pi * time / reference.GAIT.period_s
+    phase = 2 * np.pi * time / gait_clock.GAIT.period_s
     yaw = 3.0 + 0.1 * time  # passes pi
     T = poses.planar(0.25 * time, 0.02 * time**2 + 0.3 * sway * np.sin(phase), yaw)
     T[:3, :3] = poses.rotation_from_rpy([sway * np.sin(phase + 1.0), 0.0, yaw])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gym_demohlm.control import features, odometry, reference
+from gym_demohlm.control import features, gait_clock, odometry, reference
 from gym_demohlm.control.settings import Gait
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.robot import g1
@@ -18,12 +18,12 @@ def _pose(gait: Gait) -> reference.Reference:
     return pose
 
 
-def _situations(seed: int) -> tuple[np.ndarray, reference.Clock, np.ndarray, np.ndarray, np.ndarray]:
+def _situations(seed: int) -> tuple[np.ndarray, gait_clock.Clock, np.ndarray, np.ndarray, np.ndarray]:
     """Return commands (N, 7), clocks, velocities (N, 2), moments (N, 2) and attitudes (N, 4) of robots that walk."""
     rng = np.random.default_rng(seed)
     commands = rng.uniform([-0.5, -0.4, -1, 0.62, 0, -0.2, -0.3], [0.8, 0.4, 1, 0.76, 0, 0.3, 0.3], (_WORLDS, 7))
     standing = rng.random(_WORLDS) < 0.2
-    clock = reference.Clock(
+    clock = gait_clock.Clock(
         rng.random(_WORLDS), rng.uniform(0, 1, _WORLDS) * (rng.random(_WORLDS) < 0.5), standing, rng.random(_WORLDS)
     )
     return commands, clock, *(rng.normal(0, 0.1, (_WORLDS, size)) for size in (2, 2, 4))
@@ -53,7 +53,7 @@ def test_a_gait_of_today_takes_no_notice_of_the_attitude() -> None:
 def test_a_swinging_foot_lands_where_it_would_without_a_tilt() -> None:
     """With the whole tilt made up for, the foot at the end of its swing is where it was planned, seen upright."""
     commands, _, velocity, moment, _ = _situations(2)
-    clock = reference.Clock(
+    clock = gait_clock.Clock(
         np.full(_WORLDS, 0.4 - 1e-9), np.zeros(_WORLDS), np.zeros(_WORLDS, dtype=bool), np.zeros(_WORLDS)
     )
     pose = _pose(Gait(swing_upright=1.0))
@@ -77,7 +77,7 @@ def _in_heading(points: np.ndarray, attitude: np.ndarray) -> np.ndarray:
 
 def test_feet_walk_as_far_apart_as_the_gait_says_and_stand_under_the_hips() -> None:
     commands = np.tile([0.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0], (3, 1))
-    clock = reference.Clock(np.full(3, 0.45), np.array([0.0, 0.125, 0.0]), np.array([False, False, True]), np.zeros(3))
+    clock = gait_clock.Clock(np.full(3, 0.45), np.array([0.0, 0.125, 0.0]), np.array([False, False, True]), np.zeros(3))
     zero = np.zeros((3, 2))
     legs = _pose(Gait(spread=0.08)).pose(commands, clock, zero, zero)[:, :12]
     left, right = np.moveaxis(odometry.sole_points(legs), 1, 0)
@@ -86,12 +86,34 @@ def test_feet_walk_as_far_apart_as_the_gait_says_and_stand_under_the_hips() -> N
     )
 
 
+@pytest.mark.parametrize(("recovers", "beside"), [(1.0, 0.13), (0.5, 0.13), (0.25, 0.105), (0.0, 0.08)])
+def test_feet_of_a_robot_that_recovers_walk_further_apart(recovers: float, beside: float) -> None:
+    commands, zero = np.tile([0.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0], (1, 1)), np.zeros((1, 2))
+    clock = gait_clock.Clock(np.full(1, 0.45), np.zeros(1), np.array([False]), np.full(1, recovers))
+    legs = _pose(Gait(spread=0.08, recovery_spread=0.13)).pose(commands, clock, zero, zero)[:, :12]
+    left, right = np.moveaxis(odometry.sole_points(legs), 1, 0)
+    np.testing.assert_allclose((left - right)[:, 1], 2 * beside, atol=5e-3)
+
+
+@pytest.mark.parametrize(("phase", "side"), [(0.4 - 1e-9, 0), (0.9 - 1e-9, 1)], ids=["left", "right"])
+def test_a_foot_lands_further_out_by_the_whole_of_its_placement_and_further_in_by_a_share(
+    phase: float, side: int
+) -> None:
+    commands, zero = np.tile([0.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 2))
+    clock = gait_clock.Clock(np.full(3, phase), np.zeros(3), np.zeros(3, dtype=bool), np.zeros(3))
+    outward = 1.0 if side == 0 else -1.0
+    velocity = np.stack([np.zeros(3), outward * np.array([0.0, 0.3, -0.3])], axis=1)
+    legs = _pose(Gait(placement_s=0.2, inward=0.5)).pose(commands, clock, velocity, zero)[:, :12]
+    landing = outward * odometry.sole_points(legs)[:, side, 1]
+    np.testing.assert_allclose(landing - landing[0], [0.0, 0.06, -0.03], atol=2e-3)
+
+
 def test_the_capture_point_of_a_robot_in_its_pose_is_its_weights_place() -> None:
     rng = np.random.default_rng(4)
     commands = np.zeros((_WORLDS, 7))
     commands[:, 3:] = rng.uniform([0.5, -0.3, -0.1, -0.8], [0.74, 0.3, 0.8, 0.8], (_WORLDS, 4))
     pose, zero = _pose(GAITS["every part of it"]), np.zeros((_WORLDS, 2))
-    legs = pose.pose(commands, reference.at_rest(_WORLDS), zero, zero)[:, :12]
+    legs = pose.pose(commands, gait_clock.at_rest(_WORLDS), zero, zero)[:, :12]
     footing = pose.footing(commands, zero)
     tilt = np.stack([footing.tilt, footing.bank], axis=1)
     soles = np.mean([_in_heading(odometry.sole_points(legs)[:, side], tilt) for side in (0, 1)], axis=0)
@@ -107,6 +129,6 @@ def test_only_a_capture_point_outside_the_margins_asks_for_a_step() -> None:
     margins = (0.09, 0.08, 0.13)
     inside = np.array([[0.08, 0.0], [-0.07, 0.12], [0.0, -0.12]])
     outside = np.array([[0.1, 0.0], [-0.09, 0.0], [0.0, 0.14], [0.0, -0.14]])
-    assert not reference.escapes(inside, margins, np.zeros(3)).any()
-    assert reference.escapes(outside, margins, np.zeros(4)).all()
-    assert reference.escapes(inside, margins, np.full(3, 0.3)).all()  # tipping over a sole
+    assert not gait_clock.escapes(inside, margins, np.zeros(3)).any()
+    assert gait_clock.escapes(outside, margins, np.zeros(4)).all()
+    assert gait_clock.escapes(inside, margins, np.full(3, 0.3)).all()  # tipping over a sole

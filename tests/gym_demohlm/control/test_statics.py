@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from gym_demohlm.control import arm_load, attitude, features, leg_ik, reference
+from gym_demohlm.control import arm_load, attitude, features, gait_clock, leg_ik, reference
 from gym_demohlm.robot import g1
 from gym_demohlm.wbc.training import quasi_static
 
@@ -135,7 +135,7 @@ def test_reference_keeps_the_weight_over_the_soles_wherever_torso_and_arms_are(t
         command = np.zeros((1, 7))
         command[0, 3:] = rng.uniform([0.55, -0.3, 0.0, -0.9], [0.74, 0.3, 1.0, 0.9])
         arms = _random_arms(rng)
-        at_rest = reference.at_rest(1), np.zeros((1, 2))
+        at_rest = gait_clock.at_rest(1), np.zeros((1, 2))
         ahead, right = attitude.lean(*command[:, 4:7].T)
         _, tilt, _ = pose.statics(command[:, 3], ahead)
         (tilt,), (bank,) = attitude.pelvis_attitude(ahead, right, tilt)

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gym_demohlm.control import arm_load, attitude, command, features, odometry, reference
+from gym_demohlm.control import arm_load, attitude, command, features, gait_clock, odometry, reference
 from gym_demohlm.control.proprioception import Proprioception
-from gym_demohlm.control.settings import Gait
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
-from gym_demohlm.timing import CONTROL_DT
 from gym_demohlm.wbc.training import quasi_static
 from gym_demohlm.wbc.training.mdp import MdpConfig, WholeBodyMdp
 
@@ -86,50 +84,6 @@ def test_mirroring_twice_is_the_identity() -> None:
     rows = np.random.default_rng(4).normal(size=(3, features.OBSERVATION_SIZE))
     twice = features.mirror(features.mirror(rows, features.OBSERVATION_MIRROR), features.OBSERVATION_MIRROR)
     assert np.array_equal(twice, rows)
-
-
-def test_clock_rests_when_the_command_stops_and_starts_again() -> None:
-    clock = reference.Clock(np.array([0.2]), np.array([0.0]), np.array([False]), np.zeros(1))
-    still, calm = np.zeros((1, 3)), np.array([False])
-    ticks = 0
-    while not clock.standing[0]:
-        clock = reference.advance_clock(clock, still, calm, calm)
-        ticks += 1
-        assert ticks < 100
-    assert ticks * CONTROL_DT >= reference.STEPS_TO_SQUARE_UP * reference.GAIT.period_s
-    assert clock.phase[0] in reference.REST_PHASES
-    rested = clock
-    clock = reference.advance_clock(clock, still, calm, calm)
-    assert clock.standing[0] and clock.phase[0] == rested.phase[0]
-    clock = reference.advance_clock(clock, np.array([[0.3, 0, 0]]), calm, calm)
-    assert not clock.standing[0] and clock.phase[0] != rested.phase[0]
-
-
-def test_a_robot_that_loses_balance_takes_steps_and_then_rests() -> None:
-    clock = reference.Clock(np.array([0.45, 0.45]), np.array([2.0, 2.0]), np.array([True, True]), np.zeros(2))
-    still, calm = np.zeros((2, 3)), np.zeros(2, dtype=bool)
-    startled = reference.startled(np.array([[0.0, 0.1], [0.4, 0.0]]), np.zeros(2))
-    assert startled.tolist() == [False, True]
-    clock = reference.advance_clock(clock, still, startled, calm)
-    assert clock.standing.tolist() == [True, False]
-    for _ in range(100):
-        clock = reference.advance_clock(clock, still, calm, calm)
-    assert clock.standing.all()
-
-
-def test_a_pushed_robot_walks_wider_and_faster_and_then_as_before() -> None:
-    gait = Gait(recovery_s=1.0, recovery_speed=0.3, recovery_spread=0.13, recovery_period_s=0.5)
-    command = np.tile([0.2, 0.0, 0.0, 0.74, 0.0, 0.0, 0.0], (3, 1))
-    pushed = reference.pushed(np.array([[0.2, 0.0], [0.2, 0.35], [0.5, 0.0]]), command, gait)
-    assert pushed.tolist() == [False, True, False]  # a robot is late along its way after every command
-    clock = reference.Clock(np.full(3, 0.2), np.zeros(3), np.zeros(3, dtype=bool), np.zeros(3))
-    calm = np.zeros(3, dtype=bool)
-    clock = reference.advance_clock(clock, command[:, :3], calm, pushed, gait)
-    assert reference.period(clock.recovers, gait).tolist() == [0.64, 0.5, 0.64]
-    np.testing.assert_allclose(clock.phase - 0.2, CONTROL_DT / np.array([0.64, 0.5, 0.64]))
-    for _ in range(round(1.0 / CONTROL_DT) + 1):
-        clock = reference.advance_clock(clock, command[:, :3], calm, calm, gait)
-    assert clock.recovers.tolist() == [0.0] * 3 and reference.period(clock.recovers, gait).tolist() == [0.64] * 3
 
 
 def test_admissible_postures_keep_the_weight_over_the_soles_and_the_waist_within_its_range() -> None:
@@ -231,7 +185,7 @@ def test_reference_puts_the_soles_at_the_commanded_height() -> None:
     heights = np.linspace(0.5, 0.74, 7)
     commands = np.zeros((7, 7))
     commands[:, 3] = heights
-    targets = pose(commands, reference.at_rest(7), np.zeros((7, 2)), np.zeros((7, 2)))
+    targets = pose(commands, gait_clock.at_rest(7), np.zeros((7, 2)), np.zeros((7, 2)))
     hip, knee, ankle = targets[:, 0], targets[:, 3], targets[:, 4]
     reach = g1.THIGH_LENGTH * np.cos(hip) + g1.SHANK_LENGTH * np.cos(hip + knee)
     np.testing.assert_allclose(reach + g1.HIP_DROP + g1.SOLE_DROP, heights, atol=1e-9)

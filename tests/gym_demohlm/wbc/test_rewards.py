@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from gym_demohlm.control import features, reference
+from gym_demohlm.control import features, gait_clock
 from gym_demohlm.control.settings import Gait
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.wbc.training import rewards
@@ -34,7 +34,7 @@ def _outcome(seed: int = 0) -> Outcome:
     return Outcome(
         m=Measured(**measured),
         command=command,
-        clock=reference.Clock(rng.random(_WORLDS), np.zeros(_WORLDS), rng.random(_WORLDS) < 0.5, np.zeros(_WORLDS)),
+        clock=gait_clock.Clock(rng.random(_WORLDS), np.zeros(_WORLDS), rng.random(_WORLDS) < 0.5, np.zeros(_WORLDS)),
         gait=Gait(),
         action=actions[0],
         last_action=actions[1],

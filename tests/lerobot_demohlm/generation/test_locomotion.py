@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm import poses
-from gym_demohlm.control import command, reference
+from gym_demohlm.control import command, gait_clock
 from lerobot_demohlm.generation.locomotion import BaseEstimate, LocomotionSettings, OffCourseError, walk, walk_velocity
 
 SETTINGS = LocomotionSettings()
@@ -29,7 +29,7 @@ class Body:
 
     def step(self, wanted: np.ndarray) -> None:
         """Obey a velocity command (3,) for 0.1 s; slow ones mean to stand."""
-        wanted = np.where((np.abs(wanted) < reference.WALK_THRESHOLD).all(), 0.0, wanted)
+        wanted = np.where((np.abs(wanted) < gait_clock.WALK_THRESHOLD).all(), 0.0, wanted)
         self.velocity += (wanted - self.velocity) * 0.1 / self.lag_s
         self.base = poses.to_planar(poses.planar(*self.base) @ poses.planar(*(0.1 * self.velocity)))
         self.time += 0.1
