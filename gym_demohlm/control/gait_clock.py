@@ -1,6 +1,7 @@
-"""When a robot steps, with which foot, and in which time: the clock of its gait, and what sets it going.
+"""The gait clock: when a robot steps, with which foot, and how fast.
 
-A command of a velocity does, and so does a loss of balance. A robot that was pushed steps wider and faster for a while.
+A commanded velocity starts it, and so does a loss of balance. A robot that was pushed steps wider and faster for a
+while.
 """
 
 from typing import NamedTuple
@@ -63,8 +64,8 @@ def pushed(velocity: np.ndarray, command: np.ndarray, gait: Gait = GAIT) -> np.n
 
     Args:
         velocity: (N, 2) from the odometry [m/s].
-        command: (N, 2 or more) slewed, velocity first.
-        gait: Which says how differently.
+        command: (N, 2 or more) slewed, velocity first [m/s].
+        gait: Its ``recovery_speed`` says how differently.
     """
     x, y = np.ascontiguousarray((velocity - command[:, :2]).T)
     x = PUSHED_AHEAD * x
@@ -78,7 +79,7 @@ def advance_clock(
 
     Args:
         clock: After the tick before.
-        velocity: (N, 3) commanded velocity.
+        velocity: (N, 3) commanded velocity [m/s, m/s, rad/s].
         startled: (N,) bool, who loses balance.
         pushed: (N,) bool, who was pushed.
         gait: Whose clock it is.

@@ -1,4 +1,4 @@
-"""A robot steps where it is told to, startled or pushed, and rests where it is not."""
+"""The gait clock: what makes a robot step, when it rests again, and how a push changes its steps for a while."""
 
 import numpy as np
 import pytest
