@@ -5,7 +5,8 @@ and last in the task's demonstration. The same episodes, the demonstration's rep
 are watched for MuJoCo's warnings, for numbers that are not finite or never change, and for things that sink into one
 another. With random commands a robot strikes things, falls over them and throws them down; at such an impact two
 things may be inside each other for an instant by as much as they move in one step of the physics, before the contact is
-found. That depth has a line and a limit of its own, beside the depth that lasts.
+found. That depth has a line and a limit of its own, beside the depth that lasts. What the trunk leans on is judged by
+that limit too.
 """
 
 from collections import Counter

@@ -29,7 +29,8 @@ class OverlapWatch:
 
     Attributes:
         deepest: The deepest overlap at any look.
-        lasting: The deepest overlap at two looks in a row, 0.02 s apart; its depth is the lesser one of the two.
+        lasting: The deepest overlap at two looks in a row, 0.02 s apart; its depth is the lesser one of the two. What
+            the trunk touches does not count: a robot that falls on a light cube squeezes it with its whole weight.
     """
 
     def __init__(self, sim: Simulation) -> None:
@@ -42,6 +43,9 @@ class OverlapWatch:
         # Robot and floor alone are the controller's matter; a contact counts where a task's body takes part.
         self._added = model.body_rootid[model.geom_bodyid] != robot
         self._added[model.geom("floor").id] = False
+        self._bodies = model.geom_bodyid
+        self._moves = model.body_dofnum[self._bodies] > 0
+        self._trunk = self._bodies == model.body("torso_link").id
 
         sim.on_tick = lambda worlds, _commands: self.look(worlds)
 
@@ -54,6 +58,7 @@ class OverlapWatch:
             self._looked_at[world] = time[world]
             contacts = self._sim.mj_data(int(world)).contact
             now: dict[tuple[int, int], float] = {}
+            under_trunk = self._under_trunk(contacts.geom[contacts.dist < 0.0])
             for (first, second), distance in zip(contacts.geom.tolist(), contacts.dist.tolist(), strict=True):
                 if distance < 0.0 and (self._added[first] or self._added[second]):
                     now[first, second] = max(-distance, now.get((first, second), 0.0))
@@ -61,9 +66,14 @@ class OverlapWatch:
                 lasting = min(depth, self._before[world].get(pair, 0.0))
                 if depth > self.deepest.depth:
                     self.deepest = self._overlap(depth, pair, world)
-                if lasting > self.lasting.depth:
+                if lasting > self.lasting.depth and under_trunk.isdisjoint(self._bodies[list(pair)].tolist()):
                     self.lasting = self._overlap(lasting, pair, world)
             self._before[world] = now
+
+    def _under_trunk(self, pairs: np.ndarray) -> set[int]:
+        """Return the bodies of movable things that the trunk touches, of pairs (N, 2) of geoms."""
+        touched = pairs[self._trunk[pairs].any(axis=1)].ravel()
+        return set(self._bodies[touched[self._added[touched] & self._moves[touched]]].tolist())
 
     def _overlap(self, depth: float, pair: tuple[int, int], world: int) -> Overlap:
         names = " in ".join(self._sim.model.geom(geom).name or self._body_name(geom) for geom in pair)

@@ -79,8 +79,8 @@ def record(
 
     Raises:
         UnknownNameError: No such controller.
-        DemonstrationError: The task did not succeed, or no hand touched anything.
-        OffCourseError: The robot did not get to the operator's place.
+        DemonstrationError: The robot did not get to the operator's place, the task did not succeed, or no hand
+            touched anything.
     """
     sim = Simulation(task, controller=controller)
     start = start or task.default_state()

@@ -25,7 +25,7 @@ from lerobot_demohlm.demonstrations.demonstration import (
     measure,
     pose_numbers,
 )
-from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk
+from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
 
@@ -44,13 +44,21 @@ def take_over(sim: Simulation, start: InitialState) -> None:
         start: Where robot and objects shall be.
 
     Raises:
-        OffCourseError: The robot did not get there.
+        DemonstrationError: The robot did not get there.
     """
     stance = np.array(start["robot"])
     behind = poses.to_planar(poses.planar(*stance) @ poses.planar(-APPROACH, 0.0, 0.0))
     sim.reset([start | {"robot": behind.tolist()}])
-    for wanted in walk(lambda: sim.pose("pelvis")[0], stance, EXACT):
-        sim.step(wanted[None])
+    try:
+        for wanted in walk(lambda: sim.pose("pelvis")[0], stance, EXACT):
+            sim.step(wanted[None])
+    except OffCourseError as error:
+        away = np.hypot(*(poses.to_planar(sim.pose("pelvis")[0]) - stance)[:2])
+        raise DemonstrationError(
+            f"a robot that stands {away:.3f} m from the operator's place after {EXACT.max_walks} walks or fewer",
+            f"at most {EXACT.accept_m} m and {EXACT.accept_rad} rad",
+            "start it where it has room to walk, or choose another --controller",
+        ) from error
     for _ in range(SETTLE_TICKS):
         sim.step(command.rest()[None])
 

@@ -17,7 +17,7 @@ from gym_demohlm.simulation.worlds import Worlds
 from gym_demohlm.task import ObjectSpec, Predicate, Task
 from gym_demohlm.tasks.lift_box import BOX_SIZE
 from lerobot_demohlm import cli
-from lerobot_demohlm.checks.lint import LEAST_CHANGE, MAX_IMPACT_DEPTH, Settings, format_table, lint
+from lerobot_demohlm.checks.lint import LEAST_CHANGE, MAX_DEPTH, MAX_IMPACT_DEPTH, Settings, format_table, lint
 from lerobot_demohlm.checks.overlaps import OverlapWatch
 from lerobot_demohlm.demonstrations.demonstration import load
 from lerobot_demohlm.experiments import lines, readme_tables
@@ -130,6 +130,23 @@ def test_an_impact_is_told_from_an_overlap_that_lasts() -> None:
     sim.close()
     assert watch.lasting.depth < 0.002 < worst <= MAX_IMPACT_DEPTH
     assert watch.deepest.where.startswith("floor in box at ")
+
+
+@pytest.mark.parametrize(("geom", "counts"), [("torso_collision", False), ("left_elbow_yaw_collision", True)])
+def test_what_the_trunk_leans_on_is_judged_as_an_impact(geom: str, counts: bool) -> None:
+    """A box held inside the trunk for a second is deep, and does not last; one inside an arm does."""
+    sim = Simulation(get_task("LiftBox"))
+    watch = OverlapWatch(sim)
+    for _ in range(10):
+        data, T_world_box = sim.mj_data(0), sim.pose("box")
+        T_world_box[:, :3, 3] = data.geom_xpos[sim.model.geom(geom).id]
+        sim.set_pose("box", T_world_box)
+        sim.set_velocity("box", np.zeros(6))
+        watch.look(np.array([0]))
+        sim.step(command.rest()[None])
+    sim.close()
+    assert watch.deepest.depth > MAX_DEPTH
+    assert (watch.lasting.depth > MAX_DEPTH) == counts
 
 
 def test_a_constant_observation_is_caught() -> None:
