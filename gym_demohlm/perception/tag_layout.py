@@ -71,7 +71,7 @@ def tagged_model(scene: Scene) -> tuple[mujoco.MjModel, tuple[tuple[Tag, ...], .
         scene: The scene; the one with tags has the same joints and bodies.
     """
     task, tags = scene.task, layout(known_meshes(scene))
-    spec = scene_spec(task, variation=scene.variation)
+    spec = scene_spec(task, scene.robot_physics, scene.variation)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for entry, worn in zip(task.objects, tags, strict=True):
         body = spec.body(entry.name)

@@ -41,7 +41,7 @@ SECOND = Physics(
     noslip_iterations=2,
 )
 VERSIONS = {version.name: version for version in (FIRST, SECOND)}
-PHYSICS = FIRST
+PHYSICS = SECOND
 """The physics of scenes without a controller; that of the default controller."""
 
 

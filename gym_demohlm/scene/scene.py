@@ -12,7 +12,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1, neck
-from gym_demohlm.robot.physics import Physics
+from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.robot.robot import GRIPPER_JOINTS, actuator_names
 from gym_demohlm.scene.building import CONTACT_SLOTS, collision_name, contact_name, scene_spec
 from gym_demohlm.scene.shapes import Shapes
@@ -65,6 +65,7 @@ class Scene:
     Attributes:
         task: The task.
         variation: What may differ from world to world.
+        robot_physics: Of the robot.
         model: The compiled model: robot, floor, light, camera, the task's bodies, contact sensors.
         physics: The model without visual geoms, for stepping. It gives the same bits in less time: MuJoCo clears a byte
             for each node of every mesh's bounding volumes at each step, and the robot's meshes have 800 000.
@@ -81,8 +82,8 @@ class Scene:
     """
 
     def __init__(self, task: Task, physics: Physics | None = None, variation: Variation = NONE) -> None:
-        self.task, self.variation = task, variation
-        spec = scene_spec(task, physics, variation)
+        self.task, self.variation, self.robot_physics = task, variation, physics or PHYSICS
+        spec = scene_spec(task, self.robot_physics, variation)
         bare = spec.copy()
         bare.compiler.discardvisual = True
         try:

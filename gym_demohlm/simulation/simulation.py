@@ -41,6 +41,7 @@ _ARMS = [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]
 _SHOULDER_ROLLS = [
     (g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1), strict=True)
 ]
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of a posture that is not at rest
 _WAIST_YAW = g1.BODY_JOINTS.index("waist_yaw")
 _BOUNDS = command.LOWER, command.UPPER
 OnTick = Callable[[np.ndarray, np.ndarray], None]
@@ -232,11 +233,25 @@ class Simulation(Worlds):
         for roll, outwards in _SHOULDER_ROLLS:
             posture[roll] = g1.HOME[roll] + outwards * abs(posture[roll] - g1.HOME[roll])
         posture[_WAIST_YAW] += 0.0 if waist is None else waist[0]
-        posture = np.clip(posture, limits[:, 0], limits[:, 1])
-        self._qpos[row, self.scene.body_qpos] = posture
+        posture = self._put_clear(row, np.clip(posture, limits[:, 0], limits[:, 1]))
         self._command[row, command.ARMS] = np.clip(
             self._command[row, command.ARMS] + (posture - g1.HOME)[_ARMS], *(b[command.ARMS] for b in _BOUNDS)
         )
+
+    def _put_clear(self, row: int, posture: np.ndarray) -> np.ndarray:
+        """Give a world's robot a posture (29,), drawn back to rest until its arms are clear of its body; returns it."""
+        for share in _SHARES:
+            drawn = g1.HOME + share * (posture - g1.HOME)
+            self._qpos[row, self.scene.body_qpos] = drawn
+            if not self.scene.robot_physics.self_collision or self._is_clear(row):
+                break
+        return drawn
+
+    def _is_clear(self, row: int) -> bool:
+        """Return whether no part of a world's robot is inside another one."""
+        contacts, root = self.mj_data(row).contact, self.model.body_rootid[self.model.body("pelvis").id]
+        robot = self.model.body_rootid[self.model.geom_bodyid[contacts.geom]] == root
+        return not (robot.all(axis=1) & (contacts.dist < 0.0)).any()
 
     def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
         """Apply one command a world for 0.1 s.

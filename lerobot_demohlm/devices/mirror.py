@@ -24,7 +24,7 @@ from lerobot_demohlm.hardware.slots import Reading
 from lerobot_demohlm.teleop.realtime import RealTimeWorld
 from lerobot_demohlm.teleop.recorder import scene_view
 
-_STEP_M = 0.005  # m that a sole must be below the other to take over as the one that stands
+_STEP_M = 0.001  # m that a sole must be below the other to take over as the one that stands
 
 
 class Mirror:

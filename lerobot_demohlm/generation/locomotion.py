@@ -54,7 +54,7 @@ class LocomotionSettings:
     bias_within: tuple[float, float, float] = (0.2, 0.15, 0.3)
     window_ticks: int = 7
     coast_s: float = 0.15
-    settle_shift: tuple[float, float, float] = (-0.05, 0.0, 0.0)
+    settle_shift: tuple[float, float, float] = (-0.02, 0.0, 0.0)
     standoff: float = 1.2
     standoff_yaw: float = 0.35
     max_standoff: float = 0.25

@@ -13,8 +13,9 @@ from gym_demohlm.task import InitialState
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-START: InitialState = {"robot": [-0.02, 0.13, 0.0], "object": [0.0, 0.0, 0.0]}
-"""Where the robot stands when the operator takes over: 0.37 m before the cube, which is on its right."""
+START: InitialState = {"robot": [0.01, 0.16, 0.0], "object": [0.0, 0.0, 0.0]}
+"""Where the robot stands when the operator takes over: 0.34 m before the cube, which is on its right, so far
+that the right upper arm stays clear of the trunk."""
 
 TILT = 0.35  # rad, right fingers down while they go to the cube
 GRIP_NEAR = 0.005  # m from the cube's centre towards the robot

@@ -14,7 +14,7 @@ from gym_demohlm.tasks.grasp_cube import CUBE_POSITION
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-STANCE, SIDE = 0.48, 0.12  # m that the cube is ahead of the pelvis, and to its right
+STANCE, SIDE = 0.43, 0.15  # m that the cube is ahead of the pelvis, and to its right
 START: InitialState = {"robot": [CUBE_POSITION[0] - STANCE, CUBE_POSITION[1] + SIDE, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: the table's rim stays clear of its body."""
 

@@ -13,8 +13,8 @@ from gym_demohlm.tasks.handover import CUBE_EDGE, TABLE_RADIUS
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-START: InitialState = {"robot": [-0.02, 0.08, 0.0], "object": [0.0, 0.0, 0.0]}
-"""Where the robot stands when the operator takes over: 0.37 m before the cube, left of it so that the right upper arm
+START: InitialState = {"robot": [-0.05, 0.13, 0.0], "object": [0.0, 0.0, 0.0]}
+"""Where the robot stands when the operator takes over: 0.40 m before the cube, left of it so that the right upper arm
 stays clear of the trunk."""
 
 BELOW = 0.005  # m below the table's upper face: where the left palm waits

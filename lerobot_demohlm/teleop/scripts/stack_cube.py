@@ -13,7 +13,7 @@ from gym_demohlm.tasks.stack_cube import STACKED
 from lerobot_demohlm.teleop.operator import SceneView
 from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 
-START: InitialState = {"robot": [-0.06, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
+START: InitialState = {"robot": [-0.06, 0.13, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: far enough from the table for its arms to rise, and so far left
 that the right upper arm stays clear of the trunk."""
 TILT = 0.3  # rad, fingers down

@@ -14,7 +14,7 @@ from gym_demohlm.control import command, controllers, features
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Gait, Settings, Trim
 from gym_demohlm.control.tick import Sensors, Tick
-from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights, WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, Weights, WholeBodyController
 from gym_demohlm.errors import DemoHLMError, SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.physics import PHYSICS, SECOND
@@ -22,11 +22,12 @@ from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation.trial import trial_task
 
 Arrays = dict[str, np.ndarray]
+FIRST_WEIGHTS = WEIGHTS_FOLDER / "8ac4c8cd0008.npz"
 
 
-def _write(path: Path, change: Callable[[Arrays, dict], None]) -> Path:
-    """Write the packaged weights, their arrays and metadata changed."""
-    with np.load(DEFAULT_WEIGHTS) as file:
+def _write(path: Path, change: Callable[[Arrays, dict], None], weights: Path = DEFAULT_WEIGHTS) -> Path:
+    """Write packaged weights, their arrays and metadata changed."""
+    with np.load(weights) as file:
         arrays = dict(file)
     metadata = json.loads(arrays["metadata"].tobytes())
     change(arrays, metadata)
@@ -54,8 +55,8 @@ def test_settings_survive_a_file(tmp_path: Path) -> None:
         assert model.actuator("left_knee").biasprm[2] == -2.0 * g1.motor("left_knee").damping
 
 
-def test_the_packaged_weights_have_the_first_settings() -> None:
-    assert Weights().settings == Settings()
+def test_the_first_weights_have_the_first_settings() -> None:
+    assert Weights(FIRST_WEIGHTS).settings == Settings()
 
 
 def test_a_robot_of_other_settings_moves_otherwise(tmp_path: Path) -> None:
@@ -174,11 +175,11 @@ def test_scenes_without_a_controller_have_the_physics_of_the_default_one() -> No
 
 def test_a_gain_tells_the_policy_more_than_was_commanded(tmp_path: Path) -> None:
     gain = (1.2, 1.4, 1.0, 1.1, 1.0, 1.0, 1.0)
-    path = _write(tmp_path / "w.npz", lambda _, metadata: metadata.update(gain=gain))
+    path = _write(tmp_path / "w.npz", lambda _, metadata: metadata.update(gain=gain), FIRST_WEIGHTS)
     told = np.tile(command.rest(), (1, 1))
     told[0, :4] = 0.3, -0.2, 0.5, 0.7
     situations = []
-    for weights in (DEFAULT_WEIGHTS, path):
+    for weights in (FIRST_WEIGHTS, path):
         controller = WholeBodyController(1, weights)
         tick = Tick(controller.reference, controller.settings)
         still = Proprioception(

@@ -84,7 +84,7 @@ def test_settings_keep_it_as_json() -> None:
 
 @pytest.mark.slow
 def test_calibrated_robots_walk_nearer_to_their_commands(tmp_path: Path) -> None:
-    weights = WEIGHTS_FOLDER / "8ce6a846aa2e.npz"
+    weights = WEIGHTS_FOLDER / "8ac4c8cd0008.npz"
     mapped = tmp_path / "mapped.npz"
     calibrate(weights, mapped)
     assert Weights(mapped).settings.gain[:2] == (1.0, 1.0)

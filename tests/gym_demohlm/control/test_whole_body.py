@@ -223,7 +223,7 @@ def test_damaged_weights_are_a_clear_error(tmp_path: Path, content: bytes) -> No
 def test_weights_of_another_format_are_refused(tmp_path: Path) -> None:
     with np.load(DEFAULT_WEIGHTS) as arrays:
         loaded = dict(arrays)
-    text = loaded["metadata"].tobytes().replace(b'"format": 4', b'"format": 9')
+    text = loaded["metadata"].tobytes().replace(b'"format": 5', b'"format": 9')
     loaded["metadata"] = np.frombuffer(text, dtype=np.uint8)
     path = tmp_path / "weights.npz"
     np.savez(path, allow_pickle=False, **loaded)
