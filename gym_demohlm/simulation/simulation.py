@@ -23,6 +23,7 @@ from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation.disturbances import Disturbances
+from gym_demohlm.simulation.posture import ARMS, start_posture, towards_rest
 from gym_demohlm.simulation.worlds import Worlds
 from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import CONTROL_DT, STEP_DT, TICKS
@@ -37,12 +38,6 @@ _CONTROL_SPEC = (
     | mujoco.mjtState.mjSTATE_MOCAP_POS.value
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT.value
 )
-_ARMS = [g1.BODY_JOINTS.index(joint) for joint in g1.ARM_JOINTS]
-_SHOULDER_ROLLS = [
-    (g1.BODY_JOINTS.index(f"{side}_shoulder_roll"), sign) for side, sign in zip(g1.SIDES, (1, -1), strict=True)
-]
-_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of a posture that is not at rest
-_WAIST_YAW = g1.BODY_JOINTS.index("waist_yaw")
 _BOUNDS = command.LOWER, command.UPPER
 OnTick = Callable[[np.ndarray, np.ndarray], None]
 """Called after a controller tick with the worlds (n,) that took part and are sound, and the commands (N, 23)."""
@@ -226,25 +221,18 @@ class Simulation(Worlds):
         if self._disturbances is None:
             return
         self._disturbances.reset(row, conditions)
-        arms, waist = conditions.numbers("start.arms"), conditions.numbers("start.waist")
         limits = self.model.jnt_range[[self.model.joint(f"{joint}_joint").id for joint in g1.BODY_JOINTS]]
-        posture = g1.HOME.copy()
-        posture[_ARMS] += 0.0 if arms is None else np.array(arms)
-        for roll, outwards in _SHOULDER_ROLLS:
-            posture[roll] = g1.HOME[roll] + outwards * abs(posture[roll] - g1.HOME[roll])
-        posture[_WAIST_YAW] += 0.0 if waist is None else waist[0]
-        posture = self._put_clear(row, np.clip(posture, limits[:, 0], limits[:, 1]))
+        posture = self._put_clear(row, start_posture(conditions, limits))
         self._command[row, command.ARMS] = np.clip(
-            self._command[row, command.ARMS] + (posture - g1.HOME)[_ARMS], *(b[command.ARMS] for b in _BOUNDS)
+            self._command[row, command.ARMS] + (posture - g1.HOME)[ARMS], *(b[command.ARMS] for b in _BOUNDS)
         )
 
     def _put_clear(self, row: int, posture: np.ndarray) -> np.ndarray:
-        """Give a world's robot a posture (29,), drawn back to rest until its arms are clear of its body; returns it."""
-        for share in _SHARES:
-            drawn = g1.HOME + share * (posture - g1.HOME)
+        """Give a world's robot a posture (29,) [rad], nearer to rest where it would be in its own way; return it."""
+        for drawn in towards_rest(posture):
             self._qpos[row, self.scene.body_qpos] = drawn
             if not self.scene.robot_physics.self_collision or self._is_clear(row):
-                break
+                return drawn
         return drawn
 
     def _is_clear(self, row: int) -> bool:

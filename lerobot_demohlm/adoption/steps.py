@@ -34,7 +34,7 @@ LEAST_SUCCESS = 0.97
 """Share of attempts that must succeed in each task."""
 REGION = "R3"
 LINT_AGAIN = (1, 2)
-"""Added to the seed where a lint that failed is made again."""
+"""Added to the seed when a failed lint is repeated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,8 +131,8 @@ def demonstrate(request: Request, name: str) -> Found:
 def check_task(request: Request, name: str) -> Found:
     """Lint a task with the new controller and its demonstration.
 
-    The lint's worlds with random commands throw and press things by chance. A check that fails is made again with two
-    more seeds, and falls short where it fails with one of them too.
+    Some worlds of the lint have random commands, which press things hard by chance. So a check that fails is repeated
+    with two more seeds. It counts as failed if it also fails with one of these seeds.
     """
     task = get_task(name)
     made = demonstrations.load(request.demonstrations / task.slug, task)

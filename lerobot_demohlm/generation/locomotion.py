@@ -29,7 +29,7 @@ class LocomotionSettings:
         window_ticks: Ticks over which the base is averaged, a period of the gait, whose sway is no error.
         coast_s: Time for which the robot keeps its speed after a command to stand [s].
         settle_shift: Motion of the base, in its own frame, while the robot steps its feet square after a walk
-            [m, m, rad]; the mean of the shipped controller.
+            [m, m, rad]; fitted to the default controller.
         standoff: Metres to stay back from the goal for each metre of sideways error: the robot lines up first and then
             steps in.
         standoff_yaw: Metres to stay back from the goal for each radian of heading error.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm import poses
+from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.seeing import SeeingPerceiver
 from gym_demohlm.perception.small_pictures import SmallPictures
@@ -19,10 +20,11 @@ SIZES = (1.0, 1.3, 0.8)
 ROWS = np.arange(len(SIZES))
 
 
-@pytest.fixture(scope="module")
-def sim() -> Simulation:
+@pytest.fixture(scope="module", params=[DEFAULT, "8ac4c8cd0008"])  # robots of both physics, with other geoms
+def sim(request: pytest.FixtureRequest) -> Simulation:
     """Worlds with boxes of other sizes, which the robot sees from a metre."""
-    made = Simulation(get_task("LiftBox"), len(SIZES), variation=get_variation("hard:objects+scene"))
+    varied = get_variation("hard:objects+scene")
+    made = Simulation(get_task("LiftBox"), len(SIZES), controller=request.param, variation=varied)
     plain: InitialState = {"robot": [-0.35, 0.0, 0.0], "object": [0.0, 0.0, 0.2]}
     made.reset([plain if size == 1.0 else plain | {"objects.size.box": [size]} for size in SIZES])
     return made
