@@ -8,20 +8,18 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from gym_demohlm.control import controllers
-from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot.physics import Physics
-from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation import paired
 from gym_demohlm.wbc.evaluation.benchmark import LARGEST_HAND_LOAD
+from gym_demohlm.wbc.evaluation.contest import worlds_in
 from gym_demohlm.wbc.evaluation.episodes import Trials, trials
-from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_task
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 from lerobot_demohlm.checks import lint
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
@@ -103,14 +101,8 @@ def _tried(request: Request, weights: Path, physics: Physics) -> Trials:
         CommandRange(),
         num_seeds=3,
         largest_hand_load=LARGEST_HAND_LOAD,
-        make=functools.partial(_worlds, weights, physics),
+        make=worlds_in(weights, physics),
     )
-
-
-def _worlds(weights: Path, physics: Physics, count: int, disturbance: Disturbance, num_threads: int) -> Simulation:
-    controller = WholeBodyController(count, weights)
-    controller.settings = replace(controller.settings, physics=physics)
-    return Simulation(trial_task(disturbance), count, num_threads, controller)
 
 
 def demonstrate(request: Request, name: str) -> Found:

@@ -16,5 +16,7 @@ Table = Literal["main", "architectures", "regions"]
 """Of ``experiments.plan.TABLES``."""
 Variant = Literal["plain", "noise", "starts", "stances", "noise_stances"]
 """Of ``experiments.plan.VARIANTS``."""
+Protocol = Literal["whole", "arms", "velocity"]
+"""Of ``wbc.evaluation.contest.PROTOCOLS``."""
 Peer = Literal["holosoma", "holosoma-ppo"]
 """Of ``wbc.evaluation.peer.PEERS``."""

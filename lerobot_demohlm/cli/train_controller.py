@@ -30,7 +30,7 @@ class Options:
         gait: JSON file with settings of the walking reference.
         physics: Of the robot: the first version, or the second with self-collision, dry friction and peak torques.
         reward: Other weights of terms of the reward, as NAME=WEIGHT.
-        without: Leave one part of the training out, to see what it is worth.
+        without: Leave one part of the training out, to see what it is worth. "critic" is what the critic alone sees.
     """
 
     output: Path = Path("runs/controller")
@@ -48,7 +48,9 @@ class Options:
     gait: Annotated[Path | None, default("the first controller's")] = None
     physics: Literal["first", "second"] = "first"
     reward: Annotated[tuple[str, ...], default("the weights of rewards.py")] = ()
-    without: Annotated[Literal["symmetry", "reference", "curriculum"] | None, default("nothing")] = None
+    without: Annotated[
+        Literal["symmetry", "reference", "curriculum", "loads", "pushes", "critic"] | None, default("nothing")
+    ] = None
 
 
 def run(options: Options) -> None:
@@ -64,6 +66,9 @@ def run(options: Options) -> None:
         mdp=replace(
             config.mdp,
             use_reference=options.without != "reference",
+            pushed_share=0.0 if options.without == "pushes" else config.mdp.pushed_share,
+            largest_load=0.0 if options.without == "loads" else config.mdp.largest_load,
+            critic_knows=options.without != "critic",
             gait=read_gait(options.gait) if options.gait else config.mdp.gait,
             physics=named(options.physics),
             reward_table=rewards.with_weights(dict(rewards.parse(text) for text in options.reward)),

@@ -249,6 +249,18 @@ VERBS = (
         example="demohlm benchmark controller peer --name holosoma --hand-load 0",
     ),
     Verb(
+        name="benchmark controller paired",
+        group="benchmarks",
+        help="compare controllers, public ones too, under the same commands, loads and pushes",
+        example="demohlm benchmark controller paired --controllers default 8ac4c8cd0008 --num-worlds 192",
+    ),
+    Verb(
+        name="benchmark controller ablation",
+        group="benchmarks",
+        help="compare a controller with itself without parts of its settings, not trained again",
+        example="demohlm benchmark controller ablation --num-worlds 96 --num-seeds 2",
+    ),
+    Verb(
         name="benchmark controller figures",
         group="benchmarks",
         help="draw figures of the controller and a video of it",

@@ -34,7 +34,7 @@ class Row:
     """One number of two controllers.
 
     Attributes:
-        name: One of ``ACCEPTED``.
+        name: Of a number of ``Trials.rows``.
         new: Of the new controller.
         old: Of the old one.
         low: Lower end of the 95 % interval of new - old.
@@ -53,27 +53,28 @@ class Row:
         return self.high < 0.0 if self.name in HIGHER_IS_BETTER else self.low > 0.0
 
 
-def compare(new: Trials, old: Trials, seed: int = 0) -> list[Row]:
+def compare(new: Trials, old: Trials, seed: int = 0, rows: Sequence[str] = ACCEPTED) -> list[Row]:
     """Compare two controllers that were tried with the same arguments.
 
     Args:
         new: Of one.
         old: Of the other.
         seed: Of the bootstrap.
+        rows: What is compared, names of ``Trials.rows``.
 
     Returns:
-        One row for each of ``ACCEPTED``.
+        One row for each of ``rows``.
     """
-    rng, rows = np.random.default_rng(seed), []
-    for name in ACCEPTED:
+    rng, found = np.random.default_rng(seed), []
+    for name in rows:
         pair = [_sums(trials, name) for trials in (new, old)]
         robots = pair[0].shape[1]
         drawn = rng.multinomial(robots, np.full(robots, 1 / robots), _DRAWS)
         means = [_mean(drawn @ sums.T) for sums in pair]
-        low, high = np.nanquantile(means[0] - means[1], (0.025, 0.975))
+        low, high = _interval(means[0] - means[1])
         whole = [float(_mean(sums.sum(axis=1)[None])[0]) for sums in pair]
-        rows.append(Row(name=name, new=whole[0], old=whole[1], low=float(low), high=float(high)))
-    return rows
+        found.append(Row(name=name, new=whole[0], old=whole[1], low=low, high=high))
+    return found
 
 
 def _sums(trials: Trials, row: str) -> np.ndarray:
@@ -90,6 +91,13 @@ def _sums(trials: Trials, row: str) -> np.ndarray:
 def _joined(groups: Sequence[Samples], name: str) -> np.ndarray:
     empty = (np.zeros((2, len(group.alive))) for group in groups)
     return np.concatenate([group.sums.get(name, none) for group, none in zip(groups, empty, strict=True)], axis=1)
+
+
+def _interval(values: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % interval of draws (n,); NaN where no draw has a value."""
+    known = values[~np.isnan(values)]
+    low, high = np.quantile(known, (0.025, 0.975)) if len(known) else (np.nan, np.nan)
+    return float(low), float(high)
 
 
 def _mean(sums: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ our controller. What differs, all of it in the peer's favour or of its own choos
 
 - It is asked for velocities only. Commands of height, torso and arms are drawn all the same but never reach it, so the
   errors of height and torso are left out and "standing" means standing upright.
-- It moves all 29 joints itself, waist and arms too: its arms stay near its default pose, where ours swing.
+- It moves all 29 joints itself, waist and arms too: its arms stay near its default pose, where ours swing. With
+  ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load.
 - Joint stiffness and damping, default pose, action and observation scales, gait period and control rate are its own,
   read from the package. Armature, torque limits and frictionless joints are the same in its training as in our model.
 - Episodes start in its default pose, soles on the floor.
@@ -42,6 +43,7 @@ NOT_COMMANDED = ("height_error", "torso_pitch_error", "torso_roll_error", "torso
 """What a velocity policy is not asked for."""
 _INSTALL = 'uv pip install "holosoma-inference>=0.1.3,<0.2" onnxruntime'  # parts are built: needs a C compiler
 _LARGEST_ACTION = 100.0  # where the package clips
+_ARMS = slice(g1.BODY_JOINTS.index(g1.ARM_JOINTS[0]), None)  # of the body joints
 _STILL = 0.01  # m/s, rad/s: slower commands mean "stand"
 
 
@@ -131,15 +133,17 @@ class PeerController:
     Args:
         num_worlds: N.
         policy: The policy.
+        moving_arms: Whether arms follow the commands; the policy moves them otherwise.
 
     Attributes:
         policy: The policy.
+        moving_arms: Whether arms follow the commands.
         state: (N, 32) last action of the 29 joints, phases of the left and right foot, and whether it stands.
         velocity: (N, 3) what to follow instead of the commands' velocities, which the simulation clips to our bounds.
     """
 
-    def __init__(self, num_worlds: int, policy: PeerPolicy) -> None:
-        self.policy = policy
+    def __init__(self, num_worlds: int, policy: PeerPolicy, moving_arms: bool = False) -> None:
+        self.policy, self.moving_arms = policy, moving_arms
         self.state = np.zeros((num_worlds, len(g1.BODY_JOINTS) + 3))
         self.velocity = np.zeros((num_worlds, 3))
 
@@ -183,7 +187,10 @@ class PeerController:
         actions = np.array([policy.network(row[None])[0] for row in observed]).reshape(-1, joints)
         state[:, :joints] = np.clip(actions, -_LARGEST_ACTION, _LARGEST_ACTION)
         self.state[chosen] = state
-        return policy.default + policy.action_scale * state[:, policy.joint_index]
+        targets = policy.default + policy.action_scale * state[:, policy.joint_index]
+        if self.moving_arms:
+            targets[:, _ARMS] = commands[:, command.ARMS]
+        return targets
 
 
 class PeerSimulation(Simulation):
@@ -194,17 +201,26 @@ class PeerSimulation(Simulation):
         policy: The peer.
         disturbance: None by default.
         num_threads: Threads of the physics.
+        moving_arms: Whether arms follow the commands, with the gains of ours.
     """
 
     def __init__(
-        self, num_worlds: int, policy: PeerPolicy, disturbance: Disturbance | None = None, num_threads: int = 1
+        self,
+        num_worlds: int,
+        policy: PeerPolicy,
+        disturbance: Disturbance | None = None,
+        num_threads: int = 1,
+        *,
+        moving_arms: bool = False,
     ) -> None:
-        self.peer = PeerController(num_worlds, policy)
+        self.peer = PeerController(num_worlds, policy, moving_arms)
         task = trial_task(disturbance)
 
         def build(spec: mujoco.MjSpec) -> None:
             task.build(spec)
             for joint, stiffness, damping in zip(g1.BODY_JOINTS, policy.stiffness, policy.damping, strict=True):
+                if moving_arms and joint in g1.ARM_JOINTS:
+                    continue
                 actuator = spec.actuator(joint)
                 actuator.gainprm[0] = stiffness
                 actuator.biasprm[1], actuator.biasprm[2] = -stiffness, -damping

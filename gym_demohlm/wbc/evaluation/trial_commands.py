@@ -49,11 +49,15 @@ class CommandRange:
         }
         return replace(self, **drawn)
 
+    def upright(self) -> "CommandRange":
+        """Return the range with its velocities and moving arms: an upright torso at rest height."""
+        height, zero = (g1.PELVIS_HEIGHT, g1.PELVIS_HEIGHT), (0.0, 0.0)
+        still = {name: zero for name in ("pitch", "roll", "yaw", "walking_pitch")}
+        return replace(self, height=height, walking_height=height, **still)
+
     def velocity_only(self) -> "CommandRange":
         """Return the range with its velocities alone: upright at rest height, arms still."""
-        height, zero = (g1.PELVIS_HEIGHT, g1.PELVIS_HEIGHT), (0.0, 0.0)
-        still = {name: zero for name in ("pitch", "roll", "yaw", "walking_pitch", "arm_speed")}
-        return replace(self, height=height, walking_height=height, **still)
+        return replace(self.upright(), arm_speed=(0.0, 0.0))
 
 
 # Arm poses in front of and beside the body [rad]: shoulder pitch, roll, yaw, elbow, wrist roll, pitch, yaw; left arm.

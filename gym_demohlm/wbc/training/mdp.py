@@ -18,7 +18,7 @@ from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.timing import CONTROL_DT
 from gym_demohlm.wbc.training import rewards
 from gym_demohlm.wbc.training.commands import CommandSampler
-from gym_demohlm.wbc.training.model import SUBSTEPS, variants
+from gym_demohlm.wbc.training.model import LARGEST_LOAD, SUBSTEPS, variants
 from gym_demohlm.wbc.training.physics import STATE, make_physics
 from gym_demohlm.wbc.training.quasi_static import tables
 
@@ -69,6 +69,8 @@ class MdpConfig:
         push_turn: Largest sudden change of each component of its angular velocity [rad/s].
         push_every: Fewest and most ticks between two pushes of a world that is pushed.
         pushed_share: Share of the worlds that are pushed; the others learn to be accurate.
+        largest_load: Largest mass in each hand [kg].
+        critic_knows: Whether the critic sees what the actor does not, such as loads, friction and the next command.
         largest_delay: Substeps until new targets reach the motors, at most (of 5 ms; drawn for every episode).
         use_reference: Whether actions correct the reference pose; without it they correct the pose of rest.
         gait: Of the reference.
@@ -86,6 +88,8 @@ class MdpConfig:
     push_turn: float = 0.5
     push_every: tuple[int, int] = (100, 250)
     pushed_share: float = 0.6
+    largest_load: float = LARGEST_LOAD
+    critic_knows: bool = True
     largest_delay: int = 4
     use_reference: bool = True
     gait: Gait = gait_clock.GAIT
@@ -131,7 +135,7 @@ class WholeBodyMdp:
         self.config = config
         self.rng = np.random.default_rng(config.seed)
         n = config.num_worlds
-        made = variants(config.num_variants, self.rng, config.physics)
+        made = variants(config.num_variants, self.rng, config.physics, config.largest_load)
         self.model = made[0].model
         self._facts = np.stack([variant.facts for variant in made])
         self._variant = np.arange(n) % len(made)
@@ -249,6 +253,8 @@ class WholeBodyMdp:
         delay = self._delay[:, None] / SUBSTEPS
         known = [self.privileged, facts, delay, self._mean_error, self.commands.goal, arms]
         critic = np.concatenate([seen, *known], axis=1)
+        if not self.config.critic_knows:
+            critic[:, seen.shape[1] :] = 0.0
         actor = seen.copy()
         actor[:, : len(_NOISE)] += self.rng.uniform(-1, 1, (len(seen), len(_NOISE))) * _NOISE
         actor[:, features.ODOMETRY] += self.rng.normal(0, _ODOMETRY_NOISE, (len(seen), 2))

@@ -63,12 +63,12 @@ def training_model(
     return spec.compile()
 
 
-def stratified_loads(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return pairs of hand loads (count, 2) [kg] that fill the square evenly: one in each cell of a grid, shuffled."""
+def stratified_loads(count: int, rng: np.random.Generator, largest: float = LARGEST_LOAD) -> np.ndarray:
+    """Return pairs of hand loads (count, 2) up to the largest [kg] that fill the square evenly, in random order."""
     rows = max(1, int(np.sqrt(count)))
     columns = -(-count // rows)
     cells = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1).reshape(-1, 2)
-    pairs = (cells + rng.random(cells.shape)) / np.array([rows, columns]) * LARGEST_LOAD
+    pairs = (cells + rng.random(cells.shape)) / np.array([rows, columns]) * largest
     return rng.permutation(pairs)[:count]
 
 
@@ -85,11 +85,13 @@ class Variant:
     facts: np.ndarray
 
 
-def variants(count: int, rng: np.random.Generator, physics: Physics = PHYSICS) -> list[Variant]:
-    """Return randomised models whose pairs of hand loads are stratified."""
+def variants(
+    count: int, rng: np.random.Generator, physics: Physics = PHYSICS, largest_load: float = LARGEST_LOAD
+) -> list[Variant]:
+    """Return randomised models whose pairs of hand loads, up to the largest [kg], are stratified."""
     nominal = training_model(None, physics=physics).body("torso_link").mass[0]
     made = []
-    for left, right in stratified_loads(count, rng):
+    for left, right in stratified_loads(count, rng, largest_load):
         model = training_model(rng, (float(left), float(right)), physics)
         added = model.body("torso_link").mass[0] - nominal
         made.append(Variant(model=model, facts=np.array([left, right, model.geom("floor").friction[0], added])))

@@ -65,6 +65,26 @@ def test_episodes_get_new_loads_and_the_critic_knows_them() -> None:
         )
 
 
+def test_parts_of_training_can_be_left_out() -> None:
+    """Without loads hands are empty; without pushes nobody is pushed; a critic that knows nothing sees zeros."""
+    size = {"num_worlds": 4, "num_variants": 4, "seed": 3}
+    bare = WholeBodyMdp(MdpConfig(**size, largest_load=0.0, pushed_share=0.0, critic_knows=False))
+    full = WholeBodyMdp(MdpConfig(**size))
+    bare.push_level = full.push_level = 1.0
+    assert (bare._facts[:, :2] == 0).all()
+    assert (full._facts[:, :2] > 0).all()
+    pushes = []
+    for _ in range(MdpConfig().push_every[1]):
+        for mdp in (bare, full):
+            mdp.step(np.zeros((4, features.ACTION_SIZE)))
+        pushes.append((bare.pushed.any(), full.pushed.any()))
+    assert np.any(pushes, axis=0).tolist() == [False, True]
+    (actor, blind), (_, seeing) = bare.observe(), full.observe()
+    assert blind.shape == seeing.shape
+    assert (blind[:, actor.shape[1] :] == 0).all()
+    assert (seeing[:, actor.shape[1] :] != 0).any(axis=1).all()
+
+
 def test_the_critics_mirror_is_its_own_inverse() -> None:
     rows = np.random.default_rng(0).normal(size=(3, CRITIC_SIZE))
     twice = features.mirror(features.mirror(rows, CRITIC_MIRROR), CRITIC_MIRROR)

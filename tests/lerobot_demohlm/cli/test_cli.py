@@ -19,6 +19,7 @@ import pytest
 from gym_demohlm.perception.pose_server import BACKENDS
 from gym_demohlm.perception.settings import MASKS, SOURCES
 from gym_demohlm.registry import get_task
+from gym_demohlm.wbc.evaluation.contest import PROTOCOLS
 from gym_demohlm.wbc.evaluation.peer import PEERS
 from lerobot_demohlm import cli
 from lerobot_demohlm.cli import choices, completion, reference
@@ -149,6 +150,7 @@ def test_choices_are_those_of_the_library() -> None:
         (choices.Table, TABLES),
         (choices.Variant, tuple(VARIANTS)),
         (choices.Peer, tuple(PEERS)),
+        (choices.Protocol, tuple(PROTOCOLS)),
         (choices.Perception, SOURCES),
         (choices.Masks, MASKS),
         (choices.Backend, tuple(BACKENDS)),
