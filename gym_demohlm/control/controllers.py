@@ -12,6 +12,8 @@ from gym_demohlm.control.whole_body import DEFAULT_NAME, WEIGHTS_FOLDER, Weights
 from gym_demohlm.errors import SceneError, UnknownNameError
 
 DEFAULT = "default"
+MEASURED = WEIGHTS_FOLDER / "measured.jsonl"
+"""Lines of ``demohlm benchmark controller``, one for each controller in the package."""
 HASH_DIGITS = 12
 """Of its hash, that a controller's file is named by."""
 

@@ -115,7 +115,7 @@ class RobotProcess:
 
 @contextmanager
 def robot_and_folder(
-    task: str, domain: int, options: Sequence[str] = (), faults: Mapping[str, Any] | None = None
+    task: str, domain: int, options: Sequence[str] = (), faults: Sequence[Mapping[str, Any]] | None = None
 ) -> Iterator[tuple[RobotProcess, Path]]:
     """Run a simulated robot, and yield it with a folder for records, once it hangs in its gantry."""
     with tempfile.TemporaryDirectory() as folder:
@@ -281,73 +281,117 @@ def measure_success(
     }  # fmt: skip
 
 
-def measure_faults(
-    task: str, policy: Path, seeds: Sequence[int], domain: int = 183, fault: Fault | None = None
-) -> Iterator[dict[str, Any]]:
+def measure_faults(task: str, policy: Path, seeds: Sequence[int], domain: int = 183) -> Iterator[dict[str, Any]]:
     """Let one seeded fault happen in a run each; yields how the robot answered.
+
+    One simulated robot has all the runs. A deployment goes on from run to run until one of its own processes is what
+    fails; its runs are yielded when it has ended, as only then its record is whole.
 
     Args:
         task: Name of the task.
         policy: A ``pretrained_model`` directory.
-        seeds: Of the faults.
+        seeds: Of the faults; start i of the robot has the i-th of them.
         domain: Of DDS.
-        fault: The fault itself, in place of a drawn one.
     """
-    for seed in seeds:
-        drawn = fault or draw_fault(seed, get_task(task).hands == "gripper")
-        yield fault_run(task, policy, seed, drawn, domain)
+    has_servos = get_task(task).hands == "gripper"
+    left = [(seed, draw_fault(seed, has_servos)) for seed in seeds]
+    if not left:
+        return
+    files = [{"seed": seed, "faults": [vars(fault)] if _is_robots(fault) else []} for seed, fault in left]
+    options = ["--region", "R1", "--seed", str(left[0][0])]
+    with robot_and_folder(task, domain, options, files) as (robot, folder):
+        while left:
+            last = next((index for index, (_, fault) in enumerate(left) if not _is_robots(fault)), len(left) - 1)
+            batch, left = left[: last + 1], left[last + 1 :]
+            root = folder / f"record_{batch[0][0]}"
+            with Deployment(settings_for(task, policy, robot, domain, root)) as deployment:
+                answers = [fault_run(deployment, robot, seed, fault) for seed, fault in batch]
+            if "executed" not in answers[-1]:
+                answers[-1] |= _counted(robot)
+            known = _recorded(root)
+            for answer in answers:
+                moment = answer.pop("since_ns"), answer["reason"]
+                on_record = None if answer["process"] == "recorder" else moment in known
+                whole = {"part": "faults", "task": get_task(task).name, **answer, "reason_recorded": on_record}
+                yield whole | _machine()
 
 
-def fault_run(task: str, policy: Path, seed: int, fault: Fault, domain: int) -> dict[str, Any]:
-    """Run a policy, let something go wrong, and look whether the robot ends as it must, with the reason on record."""
-    in_robot = fault.kind not in PROCESS_FAULTS
-    plan = {"seed": seed, "faults": [vars(fault)]} if in_robot else None
-    with robot_and_folder(task, domain, ["--region", "R1", "--seed", str(seed)], plan) as (robot, folder):
-        root = folder / "record"
-        with Deployment(settings_for(task, policy, robot, domain, root)) as deployment:
-            began = stand_and_run(deployment, robot)
-            free = next(event for event in robot.events if event["event"] == "free")["time_s"]
-            at = free + fault.at_s if in_robot else began + fault.at_s
-            time.sleep(max(0.0, at - time.monotonic()))
-            if not in_robot:
-                at = time.monotonic()
-                deployment.apply(fault)
-            mode, answered = _wait_for_answer(deployment, EXPECTED_MODES[fault.kind, fault.process], 6.0)
-            reason, damped = deployment.reason, None
-            if fault.kind in ("kill", "stop") and fault.process == "control":
-                damped = robot.wait_for("damped", 3.0)
-            time.sleep(0.3)
-        recorded = (
-            sorted(set(recorder.read(root)["control.reason"].to_pylist())) if list(root.glob("*.parquet")) else []
-        )
-        counted = robot.end()
-    return {
-        "part": "faults",
-        "task": get_task(task).name,
+def _recorded(root: Path) -> set[tuple[int, str]]:
+    """Return when each mode of a record began [ns], with its reason."""
+    if not list(root.glob("*.parquet")):
+        return set()
+    rows = recorder.read(root)
+    return set(zip(rows["control.since_ns"].to_pylist(), rows["control.reason"].to_pylist(), strict=True))
+
+
+def _is_robots(fault: Fault) -> bool:
+    """Return whether the robot has it, not a process of the deployment."""
+    return fault.kind not in PROCESS_FAULTS
+
+
+def fault_run(deployment: Deployment, robot: RobotProcess, seed: int, fault: Fault) -> dict[str, Any]:
+    """Run a policy, let something go wrong, and look whether the robot ends as it must.
+
+    Args:
+        deployment: To the robot, which hangs in its gantry.
+        robot: It has the fault in this start, where the fault is the robot's.
+        seed: Of the fault.
+        fault: What goes wrong.
+
+    Returns:
+        The answer, with ``since_ns``, when its mode began. The robot hangs again, and what it counted is in the answer,
+        unless the fault is one of the deployment's processes: then that ends first.
+    """
+    process = None if _is_robots(fault) else fault.process
+    began = stand_and_run(deployment, robot)
+    free = next(event for event in reversed(robot.events) if event["event"] == "free")["time_s"]
+    at = (began if process else free) + fault.at_s
+    time.sleep(max(0.0, at - time.monotonic()))
+    if process:
+        at = time.monotonic()
+        deployment.apply(fault)
+    expected = EXPECTED_MODES[fault.kind, fault.process]
+    mode, answered_ns = _wait_for_answer(deployment, 6.0)
+    reason, since_ns, damped = deployment.reason, deployment.since_ns, None
+    if fault.kind in ("kill", "stop") and process == "control":
+        damped = robot.wait_for("damped", 3.0)
+    time.sleep(0.3)
+    answer = {
         "seed": seed,
         "fault": fault.kind,
-        "process": fault.process if not in_robot else None,
+        "process": process,
         "mode": mode.name,
-        "answer_ms": None if answered is None else 1e3 * (answered - at),
+        "answer_ms": None if answered_ns is None else 1e-6 * answered_ns - 1e3 * at,
         "damped_after_ms": None if damped is None else damped["silence_ms"],
         "reason": reason,
-        "as_specified": mode in EXPECTED_MODES[fault.kind, fault.process] or damped is not None,
-        "reason_recorded": reason in recorded,
-        "violations": counted.get("violations"),
-        "worst": counted.get("worst"),
-        "executed": counted.get("executed"),
-        "refused_crc": counted.get("bad_crc"),
-        **_machine(),
+        "since_ns": since_ns,
+        "as_specified": mode in expected or damped is not None,
+    }
+    if process:
+        return answer
+    deployment.request(Mode.DAMP)
+    return answer | _counted(robot)
+
+
+def _counted(robot: RobotProcess) -> dict[str, Any]:
+    """Wait until the robot hangs again; returns what it counted since it hung before."""
+    robot.wait_for("hangs", PATIENCE_S)
+    before, after = [event for event in robot.events if event["event"] == "hangs"][-2:]
+    return {
+        "violations": after["violations"] - before["violations"],
+        "worst": after["worst"],
+        "executed": after["executed"] - before["executed"],
+        "refused_crc": after["bad_crc"] - before["bad_crc"],
     }
 
 
-def _wait_for_answer(deployment: Deployment, expected: tuple[Mode, ...], timeout_s: float) -> tuple[Mode, float | None]:
-    """Return the mode that a fault led to, and when it was entered (``time.monotonic``); None where it led to none."""
+def _wait_for_answer(deployment: Deployment, timeout_s: float) -> tuple[Mode, int | None]:
+    """Return the mode that a fault led to, and when it was entered [ns, ``time.monotonic_ns``]; None where to none."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         reading = deployment.read("control")
         if reading is not None and Mode(int(reading.value["mode"])) != Mode.RUN:
-            return Mode(int(reading.value["mode"])), 1e-9 * int(reading.value["since_ns"])
+            return Mode(int(reading.value["mode"])), int(reading.value["since_ns"])
         time.sleep(0.002)
     return deployment.mode, None
 

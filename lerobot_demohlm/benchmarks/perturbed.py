@@ -15,6 +15,7 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError, DemonstrationError
+from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION, Task
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.episode import Episode
@@ -27,6 +28,7 @@ from lerobot_demohlm.teleop.trial import TrialSettings
 COMMAND = "demohlm benchmark perturbed"
 GOOD = 0.95  # share of attempts that succeed with a demonstration that one can work with
 TOGETHER = 10
+AGED = " *"  # behind a task that has changed since
 SEED = 980_000  # of the attempts' starts; not one that datasets or trials use
 
 
@@ -172,26 +174,32 @@ def read(path: Path) -> list[PerturbedLine]:
 
 
 def table(lines: Sequence[PerturbedLine], tasks: Sequence[str]) -> str:
-    """Return lines as a Markdown table with a row for each of some tasks and each length of the trial.
+    """Return lines as a Markdown table with a row for each of some tasks, with the trial of its last line.
 
     An operator none of whose recordings was good enough is counted as such; other columns are of the demonstrations.
-    Of two lines of one operator the later one counts: the task has changed since the earlier one.
+    Of two lines of one operator the later one counts: the task has changed since the earlier one. A task has a star
+    where it has changed since one of its lines.
     """
     counts = "operators | none good enough | with 95 % or more | attempts | success [%] | lowest [%]"
     rows = [f"| task | trial | {counts} | recordings | of these failed |", "|" + "---|" * 10]
-    newest = {(line.task, line.trial, line.region, line.attempts, line.operator): line for line in lines}.values()
-    pairs = [(task, trial) for task in tasks for trial in sorted({line.trial for line in newest if line.task == task})]
-    for task, trial in pairs:
-        asked = [line for line in newest if (line.task, line.trial) == (task, trial)]
+    for task in tasks:
+        own = [line for line in lines if line.task == task]
+        if not own:
+            continue
+        kind = (own[-1].trial, own[-1].region, own[-1].attempts)
+        newest = {line.operator: line for line in own if (line.trial, line.region, line.attempts) == kind}
+        asked = list(newest.values())
         found = [line for line in asked if not line.refusal]
+        aged = any(line.stamp != portability.stamp(get_task(task)) for line in asked)
+        name = f"{task}{AGED if aged else ''} | {own[-1].trial}"
         if not found:
-            rows.append(f"| {task} | {trial} | {len(asked)} | {len(asked)} | 0 | 0 | - | - | - | - |")
+            rows.append(f"| {name} | {len(asked)} | {len(asked)} | 0 | 0 | - | - | - | - |")
             continue
         attempts, successes = (sum(getattr(line, name) for line in found) for name in ("attempts", "successes"))
         lowest = min(line.successes / line.attempts for line in found)
         tries, without = (sum(getattr(line, name) for line in found) for name in ("tries", "failed"))
         rows.append(
-            f"| {task} | {trial} | {len(asked)} | {len(asked) - len(found)} | {sum(line.good for line in found)} "
+            f"| {name} | {len(asked)} | {len(asked) - len(found)} | {sum(line.good for line in found)} "
             f"| {attempts} | {100 * successes / attempts:.1f} | {100 * lowest:.0f} | {tries} | {without} |"
         )
     return "\n".join(rows)

@@ -22,10 +22,10 @@ class Options:
     """Options of ``demohlm controllers``.
 
     Attributes:
-        results: File of JSON lines of `demohlm benchmark controller`, for the measured numbers.
+        results: File of JSON lines of `demohlm benchmark controller` with the measured numbers.
     """
 
-    results: Annotated[Path | None, default("none")] = None
+    results: Annotated[Path | None, default("the lines in the package")] = None
 
 
 def run(options: Options) -> None:
@@ -34,7 +34,7 @@ def run(options: Options) -> None:
     from gym_demohlm.control import controllers
     from gym_demohlm.control.whole_body import Weights
 
-    lines = jsonl.read(options.results) if options.results is not None else []
+    lines = jsonl.read(options.results or controllers.MEASURED)
     measured = {line["controller"]: line for line in lines if "controller" in line and not line.get("velocity_only")}
     rows: list[dict[str, Any]] = []
     for controller in controllers.installed():

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from lerobot_demohlm.experiments.controller_tables import followed, pairs, robustness
 from lerobot_demohlm.experiments.lines import Measurement, Result
 from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
@@ -17,65 +18,6 @@ def newest[R: Result](lines: Iterable[R], *keys: str) -> list[R]:
 
     kept = {tuple(str(value(line, key)) for key in keys): line for line in lines}
     return [kept[key] for key in sorted(kept)]
-
-
-CONTROLLER = (
-    ("linear_velocity_error", "linear velocity error, walking, instantaneous", "m/s", "0.142"),
-    ("yaw_rate_error", "yaw rate error, walking, instantaneous", "rad/s", "0.154"),
-    ("height_error", "height error, standing", "m", "0.028"),
-    ("torso_pitch_error", "torso pitch error, standing", "rad", "0.049"),
-    ("torso_roll_error", "torso roll error, standing", "rad", "0.016"),
-    ("torso_yaw_error", "torso yaw error, standing", "rad", "0.013"),
-    ("standing_drift", "speed when told to stand", "m/s", "-"),
-    ("walking_slip", "slip of the soles that bear load, walking", "m/s", "-"),
-    ("walking_power", "mechanical power, walking", "W", "-"),
-)
-_DISTURBANCES = {
-    "none": "none",
-    "friction_0.4": "friction 0.4",
-    "torso_3kg": "3 kg on the torso",
-    "delay_20ms": "joint targets 20 ms late",
-    "timestep_1ms": "physics at 1 ms",
-}
-
-
-def _controller(lines: Sequence[Measurement]) -> str:
-    runs = newest(lines, "peer", "velocity_only")
-
-    def cell(line: Measurement, key: str, unit: str) -> str:
-        return "-" if line.get(key) is None else f"{line[key]:.3g} {unit}" if unit == "W" else f"{line[key]:.3f} {unit}"
-
-    rows = [
-        [name, *(cell(line, key, unit) for line in runs), best if best == "-" else f"{best} {unit}"]
-        for key, name, unit, best in CONTROLLER
-    ]
-    for key, name in (("survival", "no fall in an episode"), ("survival_pushed", "the same, pushed")):
-        rows.append([name, *(f"{100 * line[key]:.1f} %" for line in runs), "-"])
-    columns = [
-        (line.get("peer") or "ours") + (", velocity commands only" if line.get("velocity_only") else "")
-        for line in runs
-    ]
-    first = runs[0]
-    note = (
-        f"\n\n{first['num_worlds']} robots for {first['seconds']:.0f} s each, random commands over the whole range, "
-        f"redrawn every 4 s, arms moving, 0 to {first.get('largest_hand_load', 0):.0f} kg in each hand; pushes are "
-        "0.5 m/s every 3 s. Published errors are those of HTD and AMO in their own protocols."
-    )
-    for line in runs:
-        if line.get("velocity_only"):
-            load = line.get("largest_hand_load")
-            hands = f"0 to {load:g} kg in each hand" if load else "empty hands"
-            note += f" Velocity commands only: {line['num_worlds']} robots, upright, arms still, {hands}."
-        if line.get("peer"):
-            note += f" {line['peer']}: {line['peer_file']}, {line['num_worlds']} robots, velocity commands only."
-    return "**Whole-body controller**\n\n" + markdown(["", *columns, "best published"], rows) + note
-
-
-def _robustness(lines: Sequence[Measurement]) -> str:
-    latest = lines[-1]
-    rows = [[text, f"{100 * latest[f'survival/{name}']:.1f} %"] for name, text in _DISTURBANCES.items()]
-    header = ["disturbance", f"no fall in {latest['seconds']:.0f} s ({latest['num_worlds']} robots each, empty hands)"]
-    return "**Whole-body controller outside its training**\n\n" + markdown(header, rows)
 
 
 SHARES = {
@@ -221,8 +163,9 @@ MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = 
     ("variation.jsonl", "Worlds that vary", variation_table),
     ("feedback.jsonl", "What the closed loop is worth", feedback_table),
     ("generation_time.jsonl", "Time of generation", _time),
-    ("controller.jsonl", "Whole-body controller", _controller),
-    ("robustness.jsonl", "Robustness of the controller", _robustness),
+    ("controller.jsonl", "Whole-body controller", followed),
+    ("controller_pairs.jsonl", "Controllers in pairs", pairs),
+    ("robustness.jsonl", "Robustness of the controller", robustness),
     ("speed.jsonl", "Speed", _speed),
     ("workers.jsonl", "Workers", _workers),
     ("faults.jsonl", "Faults", _faults),

@@ -184,6 +184,12 @@ class Deployment:
         return "" if reading is None else records.text(reading.value["reason"])
 
     @property
+    def since_ns(self) -> int:
+        """When that began [ns, ``time.monotonic_ns``]."""
+        reading = self._slots["control"].read()
+        return 0 if reading is None else int(reading.value["since_ns"])
+
+    @property
     def standing(self) -> bool:
         """Whether the robot balances: the ramp of STAND is over."""
         reading = self._slots["control"].read()

@@ -1,7 +1,7 @@
 """A file of faults -> what goes wrong in a simulated robot, and when: seeded, so that the same file is the same run.
 
 Times count from the moment at which the robot stands free of its gantry. A file is JSON: ``{"seed": 3, "faults":
-[{"kind": "loss", "at_s": 2.0, "for_s": 1.0, "size": 0.3}]}``.
+[{"kind": "loss", "at_s": 2.0, "for_s": 1.0, "size": 0.3}]}``, or a list of these, which starts have by turns.
 """
 
 import heapq
@@ -102,7 +102,7 @@ PROCESSES = ("control", "policy", "pose", "servos", "recorder", "operator")
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """All that goes wrong in a run.
+    """All that goes wrong in a start.
 
     Attributes:
         seed: Of what is random about it.
@@ -126,19 +126,21 @@ class Faults:
                              '"at_s": 2.0}]}', f"kinds are {', '.join(KINDS)}") from error  # fmt: skip
 
     @classmethod
-    def read(cls, path: Path | None) -> "Faults":
-        """Return the faults of a file; none without one.
+    def read(cls, path: Path | None) -> tuple["Faults", ...]:
+        """Return the faults of a file, which starts have by turns; none without one.
 
         Raises:
             RobotError: There is no such file, or it holds something else.
         """
         if path is None:
-            return cls()
+            return (cls(),)
         try:
             content = json.loads(path.read_text())
         except (OSError, ValueError) as error:
             raise RobotError(f"no faults in {path} ({error})", "a JSON file", "check --faults") from error
-        return cls.of(content)
+        if content == []:
+            raise RobotError(f"an empty list in {path}", "the faults of one start or more", "check --faults")
+        return tuple(cls.of(entry) for entry in (content if isinstance(content, list) else [content]))
 
     def now(self, time_s: float, *kinds: str) -> list[Fault]:
         """Return what is wrong at a time [s], of some kinds."""

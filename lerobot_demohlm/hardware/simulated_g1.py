@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ class SimulatedSettings:
         seed: Of the first start; the next episode has the next seed.
         start: Of every episode; drawn from the region by default.
         servo_link: Path that leads to the serial port of neck and grippers; none by default.
-        faults: What goes wrong.
+        faults: What goes wrong; starts have these by turns.
         noise: Of joints [rad], their velocities [rad/s] and the gyro [rad/s], as a share of the usual one.
         gantry_s: How long the joints must be held before the gantry lets go [s].
         own_controller: Name of the robot's own controller that runs at first, see ``motion_switcher``.
@@ -86,7 +86,7 @@ class SimulatedSettings:
     seed: int = 0
     start: InitialState | None = None
     servo_link: Path | None = None
-    faults: Faults = field(default_factory=Faults)
+    faults: tuple[Faults, ...] = (Faults(),)
     noise: float = 1.0
     gantry_s: float = 3.5
     own_controller: str = ""
@@ -141,14 +141,12 @@ class SimulatedG1:
         if settings.servo_link is not None:
             self._bus.link(settings.servo_link)
         self.watch, self._motors = WireWatch(Limits(), MODE_MACHINE_29), Motors()
-        self._sensors, self._line = FaultySensors(settings.faults), FaultyLine(settings.faults)
         self._rng = np.random.default_rng([281, settings.seed])
         self.counts = {"states": 0, "late": 0, "gaps": 0}
         self._state, self._number, self._stop = LowState(), 0, False
         self._state.mode_machine, self._state.mode = MODE_MACHINE_29, 1
         self._episode, self._due = -1, time.monotonic()
         self._neck, self._jaws = np.zeros(2), np.zeros(2)
-        self._pushed: set[Fault] = set()
         self._last_command = 0.0
         self._gaps: list[float] = []
         self.sim = Simulation(
@@ -237,6 +235,10 @@ class SimulatedG1:
     def _hang(self) -> None:
         """Begin the next episode in the gantry."""
         self._episode += 1
+        self._faults = self._settings.faults[self._episode % len(self._settings.faults)]
+        self._sensors, self._line = FaultySensors(self._faults), FaultyLine(self._faults)
+        self._announced: set[Fault] = set()
+        self._pushed: set[Fault] = set()
         start = self._settings.start or self._task.sample(
             self._settings.region, np.random.default_rng(self._settings.seed + self._episode)
         )
@@ -249,9 +251,8 @@ class SimulatedG1:
         self._free_since: float | None = None
         self._held_since: float | None = None
         self._steps, self._finished, self._was_damped = 0, False, True
-        self._announced: set[Fault] = set()
         self._start = start
-        self._tell("hangs", start=start)
+        self._tell("hangs", start=start, **self.summary())
 
     def _finish_if_over(self) -> None:
         judge = self._judge
@@ -342,13 +343,13 @@ class SimulatedG1:
         if self._number % WORLD_EVERY == 0:
             self._show(model, data, time_s)
         self.counts["states"] += 1
-        for fault in self._settings.faults.faults:
+        for fault in self._faults.faults:
             if fault.active(time_s) and fault not in self._announced:
                 self._announced.add(fault)
                 self._tell("fault", kind=fault.kind)
 
     def _shove(self, data: mujoco.MjData, time_s: float) -> None:
-        for fault in self._settings.faults.now(time_s, "push"):
+        for fault in self._faults.now(time_s, "push"):
             if fault not in self._pushed:
                 self._pushed.add(fault)
                 data.qvel[self.sim.scene.base_qvel + 1] += fault.amount
@@ -362,7 +363,7 @@ class SimulatedG1:
             scene = self.sim.scene
             place, speed = data.qpos[scene.jaw_qpos[index]], data.qvel[scene.jaw_qvel[index]]
             self._bus.set_present(servo, float(place), float(speed))
-        if self._settings.faults.now(time_s, "pose_dropout"):
+        if self._faults.now(time_s, "pose_dropout"):
             return
         physics = np.empty(mujoco.mj_stateSize(model, STATE_SPEC))
         mujoco.mj_getState(model, data, physics, STATE_SPEC)

@@ -25,12 +25,13 @@ def test_the_table_counts_what_the_lines_say() -> None:
     assert LINE.good and not worse.good and not refused.good
     shorter, earlier = replace(LINE, trial=10, successes=12), replace(LINE, stamp="of another model", successes=3)
     other = replace(refused, task="PushCart")
-    lines = [earlier, LINE, worse, refused, shorter, other, replace(LINE, task="LiftBox")]
-    assert table(lines, ["PressCube", "PushCart"]).splitlines()[2:] == [
-        "| PressCube | 10 | 1 | 0 | 0 | 20 | 60.0 | 60 | 2 | 1 |",
-        "| PressCube | 20 | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |",
-        "| PushCart | 20 | 1 | 1 | 0 | 0 | - | - | - | - |",
+    lines = [shorter, earlier, LINE, worse, refused, other, replace(LINE, task="LiftBox")]
+    assert table(lines, ["PressCube", "PushCart", "PushCube"]).splitlines()[2:] == [
+        "| PressCube * | 20 | 3 | 1 | 1 | 40 | 72.5 | 50 | 3 | 2 |",
+        "| PushCart * | 20 | 1 | 1 | 0 | 0 | - | - | - | - |",
     ]
+    today = [replace(line, stamp=portability.stamp(get_task("PressCube"))) for line in (LINE, worse, refused)]
+    assert table([shorter, *today], ["PressCube"]).splitlines()[2].startswith("| PressCube | 20 | 3 |")
 
 
 def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import pytest
 from gym_demohlm import jsonl
 from gym_demohlm.control import controllers
 from lerobot_demohlm import cli
+from tests.helpers.paths import REPOSITORY
 
 
 def test_every_controller_is_listed_with_its_latest_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -26,3 +27,11 @@ def test_every_controller_is_listed_with_its_latest_numbers(tmp_path: Path, caps
     assert rows[0]["linear_velocity_error"] is None
     assert len(table) == 1 + len(rows)
     assert "(default)" in table[1] and "0.938" in table[1]
+
+
+def test_the_package_has_the_numbers_of_each_of_its_controllers(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["controllers"]) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert all(0.5 < row["survival"] <= 1.0 for row in rows)
+    measured = jsonl.read(REPOSITORY / "results/controller.jsonl")
+    assert all(line in measured for line in jsonl.read(controllers.MEASURED))

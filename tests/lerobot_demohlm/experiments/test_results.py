@@ -1,12 +1,15 @@
 """Result lines -> README tables."""
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.experiments import lines, measured_tables, readme_tables
+from gym_demohlm.wbc.evaluation.contest import PROTOCOLS
+from lerobot_demohlm.experiments import controller_tables, lines, measured_tables, readme_tables
 from lerobot_demohlm.experiments.lines import GenerationResult
 from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.reproducibility.results import append_result
@@ -92,27 +95,42 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
         readme_tables.update_readme(readme, tmp_path)
 
 
-def test_peers_stand_beside_our_controller(tmp_path: Path) -> None:
-    numbers = {"num_worlds": 8, "seconds": 20.0, "survival": 1.0, "survival_pushed": 0.5, "tick_share": 0.02}
-    errors = {key: 0.08 for key, *_ in measured_tables.CONTROLLER}
-    ours = {**numbers, **errors, "largest_roll": 0.4, "largest_yaw": 1.0, "largest_hand_load": 2.0}
-    axes = {"forward": [-1.0, 1.0]}
-    peer = {
-        **ours,
-        "peer": "holosoma",
-        "peer_file": "walk.onnx",
-        "linear_velocity_error": 0.25,
-        "commanded": axes,
-        "trained_for": axes,
-    }
-    peer |= dict.fromkeys(("height_error", "largest_roll", "largest_yaw"))
+def test_controllers_stand_side_by_side_each_with_its_newest_numbers(tmp_path: Path) -> None:
+    numbers = {name: 0.08 for name in controller_tables.NUMBERS} | {"num_worlds": 8, "seconds": 20.0}
+    old = {name: value for name, value in numbers.items() if not name.endswith("_cycle")}  # a line without a controller
+    new = {**numbers, "controller": "0123456789ab", "velocity_only": False, "survival": 0.99, "survival_low": 0.975}
     path = tmp_path / "controller.jsonl"
-    append_result(path, "demohlm benchmark controller", ours)
-    append_result(path, "demohlm benchmark controller --peer holosoma --peer-range", peer)
+    for line in (old, {**old, "peer": "holosoma"}, {**new, "survival": 0.5}, new, {**new, "velocity_only": True}):
+        append_result(path, "demohlm benchmark controller", line)
     text = readme_tables.tables(tmp_path)
-    assert "|  | ours | holosoma | best published |" in text
-    assert "| linear velocity error, walking, instantaneous | 0.080 m/s | 0.250 m/s | 0.142 m/s |" in text
-    assert "| height error, standing | 0.080 m | - | 0.028 m |" in text
+    first = controller_tables.FIRST
+    header = f"|  | `0123456789ab` | `0123456789ab`, velocity commands only | `{first}` | best published |"
+    assert header in text
+    assert "holosoma" not in text
+    assert "| the same over a gait cycle | 0.080 m/s | 0.080 m/s | - | - |" in text
+    assert "| no fall in an episode | 99.0 % (97.5) | 99.0 % (97.5) | 8.0 % | - |" in text
+    assert "| height error, standing | 0.0800 m | 0.0800 m | 0.0800 m | 0.0280 m |" in text
+    assert "how they are defined is not known" in text
+
+
+def test_pairs_have_their_intervals_and_ablations_say_what_is_clear(tmp_path: Path) -> None:
+    def line(controller: str, protocol: str, names: Iterable[str], low: float) -> dict[str, Any]:
+        rows = [{"name": name, "new": 0.25, "old": 0.08, "low": low, "high": 0.2} for name in names]
+        size = {"num_worlds": 96, "num_seeds": 2, "seconds": 12.0, "seed": 0, "physics": "second"}
+        return {"protocol": protocol, "controller": controller, "beside": "0123456789ab", "rows": rows, **size}
+
+    path = tmp_path / "controller_pairs.jsonl"
+    for low in (-0.3, 0.15):
+        append_result(path, "paired", line("holosoma", "arms", PROTOCOLS["arms"].rows, low))
+    append_result(path, "ablation", line("without sway", "whole", PROTOCOLS["whole"].rows, 0.1))
+    append_result(path, "ablation", line("without turn", "whole", PROTOCOLS["whole"].rows, -0.1))
+    text = readme_tables.tables(tmp_path)
+    assert "|  | `0123456789ab` | holosoma (difference, 95 %) |" in text
+    assert "| mechanical power, walking | 0.1 W | 0.2 W (+0.1 to +0.2) |" in text
+    assert "| no fall in an episode | 8.0 % | 25.0 % (+15.0 to +20.0) |" in text
+    assert "| all parts | 0.080 m/s |" in text
+    assert "| without sway | **0.250 m/s** |" in text
+    assert "| without turn | 0.250 m/s |" in text
 
 
 def test_speed_workers_and_faults_become_tables(tmp_path: Path) -> None:

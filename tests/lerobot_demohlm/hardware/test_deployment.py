@@ -127,6 +127,13 @@ def test_bad_faults_are_refused(tmp_path: Path) -> None:
         Faults.of({"faults": [{"kind": "loss"}]})
     with pytest.raises(RobotError, match="no faults in"):
         Faults.read(tmp_path / "none.json")
+    path = tmp_path / "faults.json"
+    path.write_text("[]")
+    with pytest.raises(RobotError, match="an empty list"):
+        Faults.read(path)
+    path.write_text('[{"faults": []}, {"faults": [{"kind": "loss"}]}]')
+    with pytest.raises(RobotError, match="faults that cannot be read"):
+        Faults.read(path)
     with pytest.raises(UnknownNameError, match="joint"):
         Fault(kind="nan", at_s=0.0, joint="tail")
 

@@ -1,9 +1,14 @@
 """The simulated robot's own options, without a network."""
 
+import json
+import time
+from pathlib import Path
+
 import pytest
 
 from gym_demohlm.errors import UnknownNameError
 from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.faults import Faults
 from lerobot_demohlm.hardware.simulated_g1 import SimulatedG1, SimulatedSettings
 from tests.helpers.robot import free_domain
 
@@ -28,3 +33,24 @@ def test_each_start_has_a_robot_of_its_own() -> None:
     assert len({round(mass, 6) for mass in (*masses, plain)}) == 3
     assert all("robot.payload" in event["start"] for event in said)
     robot.sim.close()
+
+
+def test_starts_have_the_faults_of_a_file_by_turns(tmp_path: Path) -> None:
+    """A frozen counter in the first start and every second one after it, a hot motor in the others."""
+    path = tmp_path / "faults.json"
+    kinds = ["frozen_tick", "hot_motor"]
+    path.write_text(json.dumps([{"seed": 5 * i, "faults": [{"kind": kinds[i], "at_s": 0.0}]} for i in range(2)]))
+    faults = Faults.read(path)
+    assert [entry.seed for entry in faults] == [0, 5]
+    settings = SimulatedSettings(task="LiftBox", interface="lo", domain=free_domain(), region="R1", faults=faults)
+    said: list[dict] = []
+    robot = SimulatedG1(settings, said.append)
+    for number in range(3):
+        robot._free_since = time.monotonic() - 1.0
+        for _ in range(3):
+            robot._speak(robot.sim.model, robot.sim.mj_data(0))
+        assert said[-1] | {"event": "fault", "kind": kinds[number % 2]} == said[-1]
+        assert (robot._state.temperature.max() == 100) == (number % 2 == 1)
+        robot._hang()
+    robot.sim.close()
+    assert [event["executed"] for event in said if event["event"] == "hangs"] == [0, 0, 0, 0]
