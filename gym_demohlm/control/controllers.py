@@ -5,10 +5,16 @@ Each file is named by the first digits of its hash, so that what was recorded wi
 """
 
 import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from gym_demohlm.control.whole_body import DEFAULT_NAME, WEIGHTS_FOLDER, Weights
+import numpy as np
+
+from gym_demohlm.control.settings import Settings
+from gym_demohlm.control.whole_body import DEFAULT_NAME, WEIGHTS_FOLDER, Weights, read_arrays
 from gym_demohlm.errors import SceneError, UnknownNameError
 
 DEFAULT = "default"
@@ -105,6 +111,43 @@ def make_default(name: str, folder: Path = WEIGHTS_FOLDER) -> None:
     partial = folder / f"{DEFAULT_NAME.stem}.partial"
     partial.write_text(find(name, folder).stem + "\n")
     partial.replace(folder / DEFAULT_NAME.name)
+
+
+def rewrite(weights: Path, output: Path, **changed: Any) -> None:  # noqa: ANN401
+    """Write a controller's file with other metadata; its network and tables stay bit for bit.
+
+    Args:
+        weights: The file.
+        output: Of the file to write, replaced at once.
+        **changed: Metadata, such as ``gait`` or ``velocity_map``, see ``Settings.metadata``.
+
+    Raises:
+        SceneError: The file is damaged, or a setting is not known or out of range.
+    """
+    _, metadata, _ = read_arrays(weights)
+    metadata |= changed
+    Settings.read(metadata)
+    with np.load(weights, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
+    partial = output.with_suffix(".partial.npz")
+    np.savez(partial, allow_pickle=False, **arrays)
+    partial.replace(output)
+
+
+def tune(weights: Path, output: Path, gait: Mapping[str, Any]) -> None:
+    """Write a controller that walks with other settings, not trained again.
+
+    Args:
+        weights: The file of the controller.
+        output: Of the file to write, replaced at once.
+        gait: Name of a setting of ``Gait`` -> its value.
+
+    Raises:
+        SceneError: As ``rewrite``.
+    """
+    now = Weights(weights).settings.gait
+    rewrite(weights, output, gait={**vars(now), **gait})
 
 
 def _begins(digest: str, wanted: str) -> bool:

@@ -339,6 +339,12 @@ VERBS = (
         example="demohlm train-controller --hours 2",
     ),
     Verb(
+        name="tune-controller",
+        group="training",
+        help="write a controller that walks with other settings of its gait, not trained again",
+        example="demohlm tune-controller --gait recovery_s=4 --output runs/tuned.npz",
+    ),
+    Verb(
         name="controllers",
         group="training",
         help="list the installed whole-body controllers with their physics and measured numbers",

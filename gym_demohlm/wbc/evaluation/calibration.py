@@ -4,14 +4,13 @@ A policy walks a little too slowly, because its pelvis sways less then. What is 
 hardly anything else, see ``control.velocity_map``.
 """
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from gym_demohlm.control import command, velocity_map
-from gym_demohlm.control.whole_body import Weights, read_arrays
+from gym_demohlm.control import command, controllers, velocity_map
+from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
 from gym_demohlm.wbc.evaluation.cycle import CycleMean
@@ -92,12 +91,5 @@ def calibrate(weights: Path, output: Path) -> None:
 
 def _write(weights: Path, output: Path, rows: tuple[tuple[float, ...], ...]) -> None:
     """Write weights with another map of the velocities, and no gain of them."""
-    _, metadata, _ = read_arrays(weights)
-    with np.load(weights, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    metadata["gain"] = [1.0, 1.0, *metadata.get("gain", [1.0] * 7)[2:]]
-    metadata["velocity_map"] = rows
-    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
-    partial = output.with_suffix(".partial.npz")
-    np.savez(partial, allow_pickle=False, **arrays)
-    partial.replace(output)
+    gain = Weights(weights).settings.gain
+    controllers.rewrite(weights, output, gain=[1.0, 1.0, *gain[2:]], velocity_map=rows)

@@ -208,3 +208,26 @@ def test_every_installed_controller_can_be_used() -> None:
         assert weights.hash == entry.hash
         assert entry.name == "default" or entry.hash.startswith(entry.name)
         assert replace(weights.settings, gait=weights.settings.gait) == weights.settings
+
+
+def test_a_tuned_controller_has_another_gait_and_the_same_network(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.npz"
+    controllers.tune(DEFAULT_WEIGHTS, path, {"recovery_s": 7.5, "capture": [0.1, 0.09, 0.12]})
+    old, new = Weights(DEFAULT_WEIGHTS), Weights(path)
+    expected = replace(old.settings.gait, recovery_s=7.5, capture=(0.1, 0.09, 0.12))
+    assert new.settings == replace(old.settings, gait=expected)
+    assert new.hash != old.hash
+    with np.load(DEFAULT_WEIGHTS) as before, np.load(path) as after:
+        assert before.files == after.files
+        for name in before.files:
+            assert name == "metadata" or np.array_equal(before[name], after[name])
+    again = tmp_path / "again.npz"
+    controllers.tune(DEFAULT_WEIGHTS, again, {"recovery_s": 7.5, "capture": [0.1, 0.09, 0.12]})
+    assert again.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("gait", [{"recovery": 4.0}, {"period_s": 0.05}, {"recovery_s": -1.0}])
+def test_a_gait_that_is_none_is_refused_and_nothing_is_written(gait: dict[str, float], tmp_path: Path) -> None:
+    with pytest.raises(SceneError):
+        controllers.tune(DEFAULT_WEIGHTS, tmp_path / "tuned.npz", gait)
+    assert not list(tmp_path.iterdir())
