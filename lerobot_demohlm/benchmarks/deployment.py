@@ -30,7 +30,7 @@ from lerobot_demohlm.hardware.priority import CONTROL
 from lerobot_demohlm.hardware.records import Mode
 
 START_S = 240.0  # that a robot may take to start
-PATIENCE_S = 20.0
+PATIENCE_S = 30.0
 SETTLE_S = 1.0  # between the gantry's letting go and RUN
 EPISODE_S = 60.0
 _LINK_HZ = 500
@@ -226,12 +226,16 @@ def settings_for(
 def stand_and_run(deployment: Deployment, robot: RobotProcess) -> float:
     """Have a hanging robot stand, wait until the gantry lets go, and run; returns when it ran (``time.monotonic``)."""
     until = time.monotonic() + PATIENCE_S
-    while deployment.mode != Mode.STAND:  # a machine at its limits may be late with one sign of life or another
-        if time.monotonic() > until:
-            raise RobotError(deployment.reason, "a robot that stands", "measure on a machine that is less busy")
-        deployment.request(Mode.STAND)
-        time.sleep(0.1)
-    robot.wait_for("free", 15.0)
+    while True:  # a machine at its limits may be late with one sign of life or another, and the robot brakes
+        if deployment.mode != Mode.STAND:
+            deployment.request(Mode.STAND)
+        try:
+            robot.wait_for("free", 0.5)
+            break
+        except RobotError as error:
+            if time.monotonic() > until:
+                remedy = "measure on a machine that is less busy"
+                raise RobotError(deployment.reason or str(error), "a robot that stands", remedy) from error
     time.sleep(SETTLE_S)
     deployment.request(Mode.RUN)
     deployment.wait_for(Mode.RUN, 5.0)
