@@ -3,8 +3,8 @@
 It stands in for a person with a headset, and goes the whole way of one: poses of devices in a room of its own, at the
 rate of a headset, through the slot that a server keeps the newest in, the clutch, and a recording session. It knows no
 more of the clutch than that a motion of the hand is a motion of the palm's target, watches that target as the page
-shows it, and leads it back where it has gone astray. It tells a target that is late from an arm that sags. What it
-does is a function of its seed.
+shows it, and leads it back where it has gone astray. It tells a target that is late from an arm that sags, and holds
+on once its script is over. What it does is a function of its seed.
 """
 
 import math

@@ -111,7 +111,7 @@ def test_a_person_holds_on_once_the_script_is_over() -> None:
 
 @pytest.mark.slow
 def test_an_operator_whose_hand_swings_does_not_grip_the_eraser_on_its_way(tmp_path: Path) -> None:
-    """Operator 2 had closed 19 mm past the goal, so that the felt stayed 5 to 9 mm off the board: twice in vain."""
+    """Operator 2 had closed 19 mm past the goal, so that the felt stayed 10 mm off the board: twice in vain."""
     assert record_perturbed(get_task("EraseBoard"), 2, tmp_path / "erase").tries == 1
 
 
