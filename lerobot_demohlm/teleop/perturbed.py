@@ -3,8 +3,8 @@
 It stands in for a person with a headset, and goes the whole way of one: poses of devices in a room of its own, at the
 rate of a headset, through the slot that a server keeps the newest in, the clutch, and a recording session. It knows no
 more of the clutch than that a motion of the hand is a motion of the palm's target, watches that target as the page
-shows it, and leads it back where it has gone astray. It tells a target that is late from an arm that sags. What it
-does is a function of its seed.
+shows it, and leads it back where it has gone astray. It tells a target that is late from an arm that sags, and holds
+on once its script is over. What it does is a function of its seed.
 """
 
 import math
@@ -121,6 +121,7 @@ class PerturbedOperator:
         self._tremors = [(_Tremor(person.tremor_m, 3, rng), _Tremor(person.tremor_rad, 3, rng)) for _ in g1.SIDES]
         self._R_room_heading = poses.planar(0.0, 0.0, person.yaw)[:3, :3]
         self._intended: OperatorPoses | None = None
+        self._grippers = np.zeros(len(g1.SIDES))
         self._goals: list[np.ndarray] = []  # (2, 4, 4) intended, in the world or, once it walks, on the robot
         self._walked = False
         self._hands = np.zeros((len(g1.SIDES), 3))  # m, in the room's axes: where the spring is
@@ -170,8 +171,9 @@ class PerturbedOperator:
             self._turns = R @ astray @ R.T @ self._turns
         self._swing()
         self._turned.append(self._turns.copy())
-        grippers = np.zeros(2) if intended is None else intended.grippers
-        hands = [HandControls(engaged=not hands_off, grip=float(grip)) for grip in grippers]
+        if intended is not None:
+            self._grippers = intended.grippers  # once the script is over they stay as they are
+        hands = [HandControls(engaged=not hands_off, grip=float(grip)) for grip in self._grippers]
         walk = np.zeros(3) if intended is None else _sticks(intended.velocity)
         self._held.append(Controls(left=hands[0], right=hands[1], lean=False, walk=walk))
 

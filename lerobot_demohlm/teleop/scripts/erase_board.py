@@ -21,6 +21,7 @@ LIFT = 0.06  # m, from the tray to the writing
 TO_BOARD = 0.005  # m, from the felt to the board
 PRESS = (0.005, 0.012)  # m, how far inside the board the felt is asked to be, first and last: the arm gives way
 WIPE = 0.27  # m
+STILL_S, SHORTLY_S = 1.5, 0.5  # s, at the end; who is shown that it has succeeded needs no longer
 OPEN, CLOSED = (0.0, 0.0), (0.0, 1.0)
 
 
@@ -39,14 +40,15 @@ def _plan(view: SceneView) -> list[Waypoint]:
     def hands(forward: float, leftward: float = 0.0, up: float = 0.0) -> np.ndarray:
         return np.stack([left, T_world_eraser @ poses.pose([GRIP + forward, leftward, up])])
 
+    still_s = STILL_S if view.T_world_targets is None else SHORTLY_S
     pressed, kept = (TO_BOARD + press for press in PRESS)
     return [
         Waypoint(T_world_hands=raised, duration_s=1.4),
         Waypoint(T_world_hands=hands(-BEFORE), duration_s=1.2),
         Waypoint(T_world_hands=hands(0.0), duration_s=1.4),
-        Waypoint(T_world_hands=hands(0.0), duration_s=0.8, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(0.0), duration_s=0.8, grippers=CLOSED, settled=True),
         Waypoint(T_world_hands=hands(-0.01, up=LIFT), duration_s=1.0, grippers=CLOSED),
         Waypoint(T_world_hands=hands(pressed, up=LIFT), duration_s=0.8, grippers=CLOSED),
         Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=2.6, grippers=CLOSED),
-        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=1.5, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=still_s, grippers=CLOSED),
     ]

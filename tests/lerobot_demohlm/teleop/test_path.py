@@ -1,4 +1,4 @@
-"""Waypoints become smooth hand paths; phases follow one another; a watching operator makes up for arms that sag."""
+"""Waypoints become smooth hand paths; phases follow one another; operators watch what sags, is late, or swings."""
 
 from dataclasses import replace
 
@@ -7,7 +7,15 @@ import pytest
 
 from gym_demohlm import poses
 from lerobot_demohlm.teleop.operator import SceneView
-from lerobot_demohlm.teleop.path import MAX_SHIFT_M, HandPath, PathOperator, Waypoint
+from lerobot_demohlm.teleop.path import (
+    MAX_SETTLING_TICKS,
+    MAX_SHIFT_M,
+    SETTLED_M,
+    SETTLED_TICKS,
+    HandPath,
+    PathOperator,
+    Waypoint,
+)
 
 SAG = np.array([0.0, 0.0, -0.012])  # m
 
@@ -104,3 +112,55 @@ def test_what_cannot_be_reached_is_not_chased() -> None:
     while (now := operator.poses(view(hands(0.5)))) is not None:
         asked = now.T_world_hands
     np.testing.assert_allclose(asked[:, 2, 3], 0.7 + MAX_SHIFT_M)
+
+
+def grip(settled: bool) -> PathOperator:
+    """Return an operator that goes 0.3 m down in 1.2 s, and then closes its grippers for 0.5 s."""
+    way = [
+        Waypoint(T_world_hands=hands(0.5), duration_s=1.2),
+        Waypoint(T_world_hands=hands(0.5), duration_s=0.5, grippers=1.0, settled=settled),
+    ]
+    return PathOperator("grips", [lambda _: way])
+
+
+def swinging(operator: PathOperator) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights (T,) [m] of a target that swings after what is asked, and grippers (T,), until it is over."""
+    z, speed, heights, grippers = 0.8, 0.0, [], []
+    while (now := operator.poses(replace(view(hands(z)), T_world_targets=hands(z)))) is not None:
+        heights.append(z)
+        grippers.append(now.grippers[0])
+        for _ in range(10):
+            speed += 0.01 * (64.0 * (now.T_world_hands[0, 2, 3] - z) - 2.0 * 0.5 * 8.0 * speed)
+            z += 0.01 * speed
+    return np.array(heights), np.array(grippers)
+
+
+def test_a_gripper_closes_once_a_target_that_swings_has_settled() -> None:
+    heights, grippers = swinging(grip(settled=True))
+    assert heights.min() < 0.5 - SETTLED_M  # it swings past the goal
+    closes = int(np.argmax(grippers > 0.5))
+    assert np.abs(heights[closes + 1 - SETTLED_TICKS :] - 0.5).max() <= SETTLED_M
+    assert grippers.sum() == 5
+    heights, grippers = swinging(grip(settled=False))
+    assert np.abs(heights[np.argmax(grippers > 0.5)] - 0.5) > SETTLED_M
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_an_operator_who_waits_keeps_its_path_where_there_is_nothing_to_wait_for(shown: bool) -> None:
+    """Palms follow at once; where targets are shown, they are there: it only looks for 0.3 s."""
+    asked = {}
+    for settled in (True, False):
+        operator, measured, found = grip(settled), hands(0.8), []
+        while (now := operator.poses(replace(view(measured), T_world_targets=measured if shown else None))) is not None:
+            measured = now.T_world_hands
+            found.append(np.append(measured.ravel(), now.grippers))
+        asked[settled] = np.stack(found)
+    waited = SETTLED_TICKS - 1 if shown else 0
+    np.testing.assert_array_equal(np.delete(asked[True], range(12, 12 + waited), axis=0), asked[False])
+
+
+def test_a_target_that_never_comes_is_not_waited_for_for_ever() -> None:
+    operator, ticks = grip(settled=True), 0
+    while operator.poses(replace(view(hands(0.8)), T_world_targets=hands(0.8))) is not None:
+        ticks += 1
+    assert ticks == 12 + MAX_SETTLING_TICKS + 5

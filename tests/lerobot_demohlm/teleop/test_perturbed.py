@@ -38,9 +38,17 @@ class Sideways:
         return None if self.tick > 40 else OperatorPoses(T_world_head=None, T_world_hands=moved, grippers=np.zeros(2))
 
 
-def perform(person: Person, seed: int = 0) -> tuple[np.ndarray, list[Controls]]:
+class Grips(Sideways):
+    """The same script with the right gripper closed from its first second on."""
+
+    def poses(self, view: SceneView) -> OperatorPoses | None:
+        wanted = super().poses(view)
+        return None if wanted is None else replace(wanted, grippers=np.array([0.0, float(self.tick > 10)]))
+
+
+def perform(person: Person, seed: int = 0, script: type[Sideways] = Sideways) -> tuple[np.ndarray, list[Controls]]:
     """Return the targets (T, 2, 4, 4) that come of a script, and the controls of each step; palms are where asked."""
-    operator, clutch, now = PerturbedOperator(Sideways(), person, np.random.default_rng(seed)), Clutch(), [0.0]
+    operator, clutch, now = PerturbedOperator(script(), person, np.random.default_rng(seed)), Clutch(), [0.0]
     inputs, targets, seen = Inputs(lambda: now[0]), [HANDS], []
     while not operator.over and len(targets) < 200:
         view = SceneView(
@@ -91,6 +99,20 @@ def test_the_same_seed_moves_the_same_way() -> None:
     assert 0.06 <= person.delay_s <= 0.15 and person.damping < 1.0
     np.testing.assert_array_equal(perform(person, 1)[0], perform(person, 1)[0])
     assert np.abs(perform(person, 1)[0][:50] - perform(person, 2)[0][:50]).max() > 1e-4
+
+
+def test_a_person_holds_on_once_the_script_is_over() -> None:
+    """A success that has begun is to last: what is held must not fall."""
+    _, seen = perform(replace(CALM, delay_s=0.0), script=Grips)
+    closed = [controls.right.grip > 0.5 for controls in seen]
+    assert not closed[5] and closed[20] and closed[-1]
+    assert not any(controls.left.grip for controls in seen)
+
+
+@pytest.mark.slow
+def test_an_operator_whose_hand_swings_does_not_grip_the_eraser_on_its_way(tmp_path: Path) -> None:
+    """Operator 2 had closed 19 mm past the goal, so that the felt stayed 10 mm off the board: twice in vain."""
+    assert record_perturbed(get_task("EraseBoard"), 2, tmp_path / "erase").tries == 1
 
 
 @pytest.mark.slow
