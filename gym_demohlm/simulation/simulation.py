@@ -113,7 +113,7 @@ class Simulation(Worlds):
         num_worlds: N.
         num_threads: Threads that step the physics; one does without a pool.
         controller: Of the robots: for N worlds, or the name, path or hash of one (``control.controllers``). A
-            controller of ours brings the physics that it was trained in.
+            controller with a ``physics``, as ours have, brings it.
         pool: What steps the physics, for as many threads; ``make_pool(num_threads)`` by default.
         variation: What may differ from world to world; a world's conditions are in its initial state.
 
@@ -141,7 +141,7 @@ class Simulation(Worlds):
         if controller is None or isinstance(controller, str):
             controller = WholeBodyController(num_worlds, controllers.find(controller or controllers.DEFAULT))
         ours = controller.settings if isinstance(controller, WholeBodyController) else None
-        super().__init__(task, num_worlds, ours.physics if ours else None, variation)
+        super().__init__(task, num_worlds, getattr(controller, "physics", None), variation)
         model = self.model
         self._controller: Controller = controller
         if ours:

@@ -100,11 +100,12 @@ def pairs(lines: Sequence[Measurement]) -> str:
     Args:
         lines: Of ``benchmark controller paired`` and ``ablation``, the newest of each pair counts.
     """
-    newest = {(line["protocol"], line["beside"], line["controller"]): line for line in lines}
+    newest = {(line["protocol"], line["physics"], line["beside"], line["controller"]): line for line in lines}
     ablated = [line for line in newest.values() if _part(line)]
     beside = [line for line in newest.values() if not _part(line)]
-    groups = dict.fromkeys((line["protocol"], line["beside"]) for line in beside)
-    parts = [_group([line for line in beside if (line["protocol"], line["beside"]) == group]) for group in groups]
+    kinds = ("protocol", "physics", "beside")
+    groups = dict.fromkeys(tuple(line[kind] for kind in kinds) for line in beside)
+    parts = [_group([line for line in beside if tuple(line[kind] for kind in kinds) == group]) for group in groups]
     return "\n\n".join([*parts, *([_ablations(ablated)] if ablated else [])])
 
 

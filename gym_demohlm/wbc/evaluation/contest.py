@@ -13,7 +13,7 @@ from gym_demohlm.control import controllers
 from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
 from gym_demohlm.control.whole_body import WholeBodyController
 from gym_demohlm.errors import SceneError, UnknownNameError
-from gym_demohlm.robot.physics import PHYSICS, Physics
+from gym_demohlm.robot.physics import PHYSICS, Physics, named
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation import paired, peer
 from gym_demohlm.wbc.evaluation.episodes import Maker, Trials, trials
@@ -67,18 +67,20 @@ def contest(
     num_threads: int = 2,
     *,
     num_seeds: int = 3,
+    physics: str | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Compare controllers with the first one of them.
 
     Args:
-        names: Two or more controllers: of ours (name, path, hash), or keys of ``peer.PEERS``. All are tried in the
-            physics of the first one, or, beside public ones, in that of scenes without a controller.
+        names: Two or more controllers: of ours (name, path, hash), or keys of ``peer.PEERS``.
         protocol: A key of ``PROTOCOLS``.
         num_worlds: Robots of each controller, shared among seeds and pairs of hand loads.
         seconds: Of each of their episodes [s].
         seed: The first, of loads, commands and pushes.
         num_threads: Threads of the physics.
         num_seeds: Seeds, one after another.
+        physics: Name of the robots' physics; by default that of the first controller, or, where that is a public one,
+            that of scenes without a controller.
 
     Yields:
         For each controller after the first: ``protocol``, ``controller``, ``beside``, ``rows`` (``paired.Row``, whose
@@ -86,7 +88,7 @@ def contest(
 
     Raises:
         SceneError: Fewer than two controllers, or a public one where the protocol asks for more than velocities.
-        UnknownNameError: No protocol or controller is called so.
+        UnknownNameError: No protocol, controller or physics is called so.
         SceneError: A weights file is damaged, or the package of a public controller is not installed.
     """
     if protocol not in PROTOCOLS:
@@ -102,14 +104,15 @@ def contest(
             "a public controller under one that asks for velocities alone",
             f"pass --protocol {able}",
         )
-    physics = PHYSICS if public else controllers.load(names[0]).settings.physics
+    own = PHYSICS if names[0] in peer.PEERS else controllers.load(names[0]).settings.physics
+    chosen = named(physics) if physics else own
     labels = [_label(name) for name in names]
-    makers = [_maker(name, physics, moving_arms=protocol == "arms") for name in names]
+    makers = [_maker(name, chosen, moving_arms=protocol == "arms") for name in names]
     ranges = asked.ranges
     for name in public:
         ranges = _common(ranges, peer.load_policy(name))
     run = _Run(protocol=protocol, ranges=ranges, size=(num_worlds, seconds, seed, num_threads), num_seeds=num_seeds)
-    yield from run.compare(labels, makers, physics)
+    yield from run.compare(labels, makers, chosen)
 
 
 ABLATIONS: dict[str, Callable[[Settings], Settings]] = {
@@ -192,7 +195,7 @@ def _maker(name: str, physics: Physics, moving_arms: bool) -> Maker:
         return worlds_in(controllers.find(name), physics)
     policy = peer.load_policy(name)
     return lambda count, disturbance, threads: peer.PeerSimulation(
-        count, policy, disturbance, threads, moving_arms=moving_arms
+        count, policy, disturbance, threads, moving_arms=moving_arms, physics=physics
     )
 
 

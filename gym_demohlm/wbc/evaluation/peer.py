@@ -8,7 +8,8 @@ our controller. What differs, all of it in the peer's favour or of its own choos
 - It moves all 29 joints itself, waist and arms too: its arms stay near its default pose, where ours swing. With
   ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load.
 - Joint stiffness and damping, default pose, action and observation scales, gait period and control rate are its own,
-  read from the package. Armature, torque limits and frictionless joints are the same in its training as in our model.
+  read from the package. Armature, torque limits and frictionless joints are the same in its training as in our first
+  physics; the second one has dry friction, which the peer was not trained with.
 - Episodes start in its default pose, soles on the floor.
 - With ``own_range`` velocities are drawn from the range it was trained for, stored with its weights.
 
@@ -30,6 +31,7 @@ from gym_demohlm.control import command
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.simulation import Simulation, StepResult
 from gym_demohlm.task import InitialState
 from gym_demohlm.timing import CONTROL_DT
@@ -134,16 +136,20 @@ class PeerController:
         num_worlds: N.
         policy: The policy.
         moving_arms: Whether arms follow the commands; the policy moves them otherwise.
+        physics: Of its robots.
 
     Attributes:
         policy: The policy.
         moving_arms: Whether arms follow the commands.
+        physics: Of its robots.
         state: (N, 32) last action of the 29 joints, phases of the left and right foot, and whether it stands.
         velocity: (N, 3) what to follow instead of the commands' velocities, which the simulation clips to our bounds.
     """
 
-    def __init__(self, num_worlds: int, policy: PeerPolicy, moving_arms: bool = False) -> None:
-        self.policy, self.moving_arms = policy, moving_arms
+    def __init__(
+        self, num_worlds: int, policy: PeerPolicy, moving_arms: bool = False, physics: Physics = PHYSICS
+    ) -> None:
+        self.policy, self.moving_arms, self.physics = policy, moving_arms, physics
         self.state = np.zeros((num_worlds, len(g1.BODY_JOINTS) + 3))
         self.velocity = np.zeros((num_worlds, 3))
 
@@ -202,6 +208,7 @@ class PeerSimulation(Simulation):
         disturbance: None by default.
         num_threads: Threads of the physics.
         moving_arms: Whether arms follow the commands, with the gains of ours.
+        physics: Of the robots.
     """
 
     def __init__(
@@ -212,8 +219,9 @@ class PeerSimulation(Simulation):
         num_threads: int = 1,
         *,
         moving_arms: bool = False,
+        physics: Physics = PHYSICS,
     ) -> None:
-        self.peer = PeerController(num_worlds, policy, moving_arms)
+        self.peer = PeerController(num_worlds, policy, moving_arms, physics)
         task = trial_task(disturbance)
 
         def build(spec: mujoco.MjSpec) -> None:

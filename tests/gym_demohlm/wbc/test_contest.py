@@ -92,3 +92,14 @@ def test_the_arms_of_a_public_controller_go_where_they_are_sent_and_bear_a_load(
     assert not simulation.fallen().any()
     arms = simulation.joint_positions[0, -14:]
     np.testing.assert_allclose(arms, g1.HOME[-14:], atol=0.1)
+
+
+def test_robots_have_the_physics_that_is_asked_for() -> None:
+    first, second = (
+        next(contest.contest(["default", "default"], "velocity", **_SMALL, physics=name))
+        for name in ("first", "second")
+    )
+    assert (first["physics"], second["physics"]) == ("first", "second")
+    assert first["rows"][0]["old"] != second["rows"][0]["old"]
+    with pytest.raises(UnknownNameError, match="second"):
+        next(contest.contest(["default", "default"], "velocity", **_SMALL, physics="secnd"))

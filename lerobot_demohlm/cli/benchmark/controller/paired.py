@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from lerobot_demohlm.cli.benchmark.controller import Size
 from lerobot_demohlm.cli.choices import Protocol
@@ -39,10 +39,12 @@ class Options(Paired):
             public controllers. The first is the one that the others are compared with.
         protocol: "whole" asks for the whole command range, with loads. "arms" asks for velocities and moving arms of an
             upright robot, with loads. "velocity" asks for velocities alone. Public controllers take the last two.
+        physics: Of the robots: the first version, or the second with self-collision, dry friction and peak torques.
     """
 
     controllers: tuple[str, ...]
     protocol: Protocol = "whole"
+    physics: Annotated[Literal["first", "second"] | None, default("the first controller's")] = None
 
 
 def run(options: Options) -> None:
@@ -50,5 +52,12 @@ def run(options: Options) -> None:
     from gym_demohlm.wbc.evaluation.contest import contest
 
     call = f"paired --controllers {' '.join(options.controllers)} --protocol {options.protocol} {options.call}"
-    found = contest(options.controllers, options.protocol, *options.numbers, num_seeds=options.num_seeds)
+    call += f" --physics {options.physics}" if options.physics else ""
+    found = contest(
+        options.controllers,
+        options.protocol,
+        *options.numbers,
+        num_seeds=options.num_seeds,
+        physics=options.physics,
+    )
     print_comparisons(found, f"demohlm benchmark controller {call}", options.append)
