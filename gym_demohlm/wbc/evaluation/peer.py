@@ -6,7 +6,8 @@ our controller. What differs, all of it in the peer's favour or of its own choos
 - It is asked for velocities only. Commands of height, torso and arms are drawn all the same but never reach it, so the
   errors of height and torso are left out and "standing" means standing upright.
 - It moves all 29 joints itself, waist and arms too: its arms stay near its default pose, where ours swing. With
-  ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load.
+  ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load. The
+  policy sees them in its default pose then: shown where they are, which it never saw in training, it falls at once.
 - Joint stiffness and damping, default pose, action and observation scales, gait period and control rate are its own,
   read from the package. Armature, torque limits and frictionless joints are the same in its training as in our first
   physics; the second one has dry friction, which the peer was not trained with.
@@ -178,14 +179,15 @@ class PeerController:
         phases = state[:, joints : joints + 2] = _advance(state[:, joints:], velocity, policy.gait_period_s)
         state[:, -1] = _stands(velocity)
         order = np.argsort(policy.joint_index)  # of the policy's joints among ours
+        seen = self._seen(sensed)
         parts = {
             "actions": state[:, :joints],
             "base_ang_vel": sensed.gyro,
             "projected_gravity": _gravity(sensed.quat_wxyz),
             "command_lin_vel": velocity[:, :2],
             "command_ang_vel": velocity[:, 2:],
-            "dof_pos": (sensed.q - policy.default)[:, order],
-            "dof_vel": sensed.dq[:, order],
+            "dof_pos": (seen.q - policy.default)[:, order],
+            "dof_vel": seen.dq[:, order],
             "sin_phase": np.sin(phases),
             "cos_phase": np.cos(phases),
         }
@@ -197,6 +199,14 @@ class PeerController:
         if self.moving_arms:
             targets[:, _ARMS] = commands[:, command.ARMS]
         return targets
+
+    def _seen(self, sensed: Proprioception) -> Proprioception:
+        """Return what the policy is shown: arms that do not follow it rest in its default pose."""
+        if not self.moving_arms:
+            return sensed
+        q, dq = sensed.q.copy(), sensed.dq.copy()
+        q[:, _ARMS], dq[:, _ARMS] = self.policy.default[_ARMS], 0.0
+        return replace(sensed, q=q, dq=dq)
 
 
 class PeerSimulation(Simulation):

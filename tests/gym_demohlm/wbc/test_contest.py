@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command, controllers
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Gait, Settings
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot import g1
@@ -92,6 +93,20 @@ def test_the_arms_of_a_public_controller_go_where_they_are_sent_and_bear_a_load(
     assert not simulation.fallen().any()
     arms = simulation.joint_positions[0, -14:]
     np.testing.assert_allclose(arms, g1.HOME[-14:], atol=0.1)
+
+
+@pytest.mark.skipif(not _INSTALLED, reason="needs holosoma-inference")
+def test_a_public_controller_acts_the_same_wherever_moving_arms_are() -> None:
+    controller = peer.PeerController(2, peer.load_policy("holosoma"), moving_arms=True)
+    q, dq = np.tile(g1.HOME, (2, 1)), np.zeros((2, 29))
+    q[1, -14:] += 0.5
+    dq[1, -14:] = 1.0
+    sensed = Proprioception(quat_wxyz=np.tile([1.0, 0, 0, 0], (2, 1)), gyro=np.zeros((2, 3)), q=q, dq=dq)
+    commands = np.tile(command.rest(), (2, 1))
+    commands[1, command.ARMS] += 0.1
+    targets = controller.step(sensed, commands)
+    np.testing.assert_array_equal(targets[0, :-14], targets[1, :-14])
+    np.testing.assert_array_equal(targets[:, -14:], commands[:, command.ARMS])
 
 
 def test_robots_have_the_physics_that_is_asked_for() -> None:
