@@ -6,8 +6,8 @@ our controller. What differs, all of it in the peer's favour or of its own choos
 - It is asked for velocities only. Commands of height, torso and arms are drawn all the same but never reach it, so the
   errors of height and torso are left out and "standing" means standing upright.
 - It moves all 29 joints itself, waist and arms too: its arms stay near its default pose, where ours swing. With
-  ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load. The
-  policy sees them in its default pose then: shown where they are, which it never saw in training, it falls at once.
+  ``moving_arms`` they go where the commands send them, with the servo gains that ours have, so that they bear a load.
+  The policy sees them in its default pose then: shown where they are, which it never saw in training, it falls at once.
 - Joint stiffness and damping, default pose, action and observation scales, gait period and control rate are its own,
   read from the package. Armature, torque limits and frictionless joints are the same in its training as in our first
   physics; the second one has dry friction, which the peer was not trained with.
