@@ -16,11 +16,10 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.robot.physics import PHYSICS, Physics, named
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation import paired, peer
+from gym_demohlm.wbc.evaluation.benchmark import LARGEST_HAND_LOAD
 from gym_demohlm.wbc.evaluation.episodes import Maker, Trials, trials
 from gym_demohlm.wbc.evaluation.trial import Disturbance, trial_task
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
-
-LARGEST_LOAD = 2.0  # kg, in each hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +50,12 @@ _WALKING = (
     *paired.HIGHER_IS_BETTER,
 )
 PROTOCOLS = {
-    "whole": Protocol(ranges=CommandRange(), largest_hand_load=LARGEST_LOAD, rows=paired.ACCEPTED, takes_peers=False),
-    "arms": Protocol(ranges=CommandRange().upright(), largest_hand_load=LARGEST_LOAD, rows=_WALKING, takes_peers=True),
+    "whole": Protocol(
+        ranges=CommandRange(), largest_hand_load=LARGEST_HAND_LOAD, rows=paired.ACCEPTED, takes_peers=False
+    ),
+    "arms": Protocol(
+        ranges=CommandRange().upright(), largest_hand_load=LARGEST_HAND_LOAD, rows=_WALKING, takes_peers=True
+    ),
     "velocity": Protocol(ranges=CommandRange().velocity_only(), largest_hand_load=0.0, rows=_WALKING, takes_peers=True),
 }
 """``whole``: all commands. ``arms``: velocities, and moving arms with loads. ``velocity``: velocities alone."""
