@@ -11,9 +11,9 @@ FIRST = "8ac4c8cd0008"
 """The controller of lines from before they named one."""
 NUMBERS = {
     "linear_velocity_error": ("linear velocity error, walking, instantaneous", "m/s"),
-    "linear_velocity_error_cycle": ("the same over a gait cycle", "m/s"),
+    "linear_velocity_error_cycle": ("linear velocity error over a gait cycle", "m/s"),
     "yaw_rate_error": ("yaw rate error, walking, instantaneous", "rad/s"),
-    "yaw_rate_error_cycle": ("the same over a gait cycle", "rad/s"),
+    "yaw_rate_error_cycle": ("yaw rate error over a gait cycle", "rad/s"),
     "height_error": ("height error, standing", "m"),
     "torso_pitch_error": ("torso pitch error, standing", "rad"),
     "torso_roll_error": ("torso roll error, standing", "rad"),
@@ -25,7 +25,7 @@ NUMBERS = {
     "walking_power": ("mechanical power, walking", "W"),
     "walking_power_velocity_only": ("mechanical power, velocity commands only", "W"),
     "survival": ("no fall in an episode", "%"),
-    "survival_pushed": ("the same, pushed", "%"),
+    "survival_pushed": ("no fall, pushed", "%"),
 }
 """Number of the benchmark -> what it is, and its unit."""
 PUBLISHED = {
@@ -117,7 +117,8 @@ def _group(lines: Sequence[Measurement]) -> str:
         others = (f"{_cell(rows_of[name]['new'], name)} ({_interval(rows_of[name], name)})" for rows_of in found)
         rows.append([_title(name), _cell(found[0][name]["old"], name), *others])
     header = ["", f"`{first['beside']}`", *(f"{line['controller']} (difference, 95 %)" for line in lines)]
-    return f"**Pairs of controllers**, {_ASKED[first['protocol']]}\n\n{markdown(header, rows)}\n\n{_size(first)}"
+    title = f"**Pairs of controllers**, {_ASKED[first['protocol']]}, {first['physics']} physics"
+    return f"{title}\n\n{markdown(header, rows)}\n\n{_size(first)}"
 
 
 _ASKED = {

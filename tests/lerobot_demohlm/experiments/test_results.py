@@ -107,7 +107,7 @@ def test_controllers_stand_side_by_side_each_with_its_newest_numbers(tmp_path: P
     header = f"|  | `0123456789ab` | `0123456789ab`, velocity commands only | `{first}` | best published |"
     assert header in text
     assert "holosoma" not in text
-    assert "| the same over a gait cycle | 0.080 m/s | 0.080 m/s | - | - |" in text
+    assert "| linear velocity error over a gait cycle | 0.080 m/s | 0.080 m/s | - | - |" in text
     assert "| no fall in an episode | 99.0 % (97.5) | 99.0 % (97.5) | 8.0 % | - |" in text
     assert "| height error, standing | 0.0800 m | 0.0800 m | 0.0800 m | 0.0280 m |" in text
     assert "how they are defined is not known" in text
