@@ -20,12 +20,12 @@ matplotlib.use("Agg")
 SHARES = (0.25, 0.5, 0.75, 1.0)
 HAND_LOADS = (0.0, 1.0, 2.0)  # kg in each hand
 _PANELS = {  # quantity -> axis label, factor, what is asked of the whole range
-    "walking/linear_velocity": ("velocity error, walking [m/s]", 1.0, 0.10),
-    "walking/yaw_rate": ("yaw rate error, walking [rad/s]", 1.0, 0.15),
-    "survival": ("no fall in an episode [%]", 100.0, 99.5),
-    "standing/torso_pitch": ("torso pitch error, standing [rad]", 1.0, 0.04),
-    "standing/torso_roll": ("torso roll error, standing [rad]", 1.0, 0.015),
-    "standing/height": ("height error, standing [m]", 1.0, 0.015),
+    "walking/linear_velocity": ("velocity error, walking [m/s]", 1.0, 0.105),
+    "walking/yaw_rate": ("yaw rate error, walking [rad/s]", 1.0, 0.16),
+    "survival": ("no fall in an episode [%]", 100.0, 99.0),
+    "standing/torso_pitch": ("torso pitch error, standing [rad]", 1.0, 0.037),
+    "standing/torso_roll": ("torso roll error, standing [rad]", 1.0, 0.020),
+    "standing/height": ("height error, standing [m]", 1.0, 0.011),
 }
 _COLORS = ("#00798c", "#edae49", "#d1495b")
 
