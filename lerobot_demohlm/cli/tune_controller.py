@@ -20,7 +20,7 @@ class Options:
         gait: Settings of the gait, as NAME=VALUE; a value is a number or a list such as [0.1,0.08,0.13].
     """
 
-    controller: Annotated[str, tyro.conf.Positional] = "default"
+    controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")] = "default"
     output: Path
     gait: tuple[str, ...]
 

@@ -35,3 +35,16 @@ def test_the_package_has_the_numbers_of_each_of_its_controllers(capsys: pytest.C
     assert all(0.5 < row["survival"] <= 1.0 for row in rows)
     measured = jsonl.read(REPOSITORY / "results/controller.jsonl")
     assert all(line in measured for line in jsonl.read(controllers.MEASURED))
+
+
+def test_a_controller_is_tuned_by_names_and_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "new" / "tuned.npz"
+    assert (
+        cli.main(["tune-controller", "--gait", "recovery_s=7.5", "capture=[0.1,0.09,0.12]", "--output", str(path)]) == 0
+    )
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["hash"] == controllers.load(str(path)).hash
+    assert controllers.load(str(path)).settings.gait.recovery_s == 7.5
+    for wrong, message in (("recovery_s=four", "NAME=VALUE"), ("recovery=4", "recovery_spread")):
+        assert cli.main(["tune-controller", "--gait", wrong, "--output", str(tmp_path / "bad.npz")]) == 2
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "bad.npz").exists()
