@@ -42,7 +42,7 @@ def run(options: Options) -> None:
     Raises:
         RobotError: No policy where one is needed, or a simulated robot that does not do what it is told.
     """
-    from lerobot_demohlm.benchmarks import deployment
+    from lerobot_demohlm.benchmarks import deployment, deployment_faults
     from lerobot_demohlm.hardware.errors import RobotError
     from lerobot_demohlm.reproducibility.results import append_result
 
@@ -62,7 +62,9 @@ def run(options: Options) -> None:
     else:
         call += f" --task {options.task} --seed {options.seed} --num-runs {options.num_runs}"
         done = {line["seed"] for line in _lines(options.append) if line["part"] == "faults"}
-        results = deployment.measure_faults(options.task, options.policy, [seed for seed in seeds if seed not in done])
+        results = deployment_faults.measure_faults(
+            options.task, options.policy, [seed for seed in seeds if seed not in done]
+        )
     for result in results:
         print_json(result if options.append is None else append_result(options.append, call, result))
 
