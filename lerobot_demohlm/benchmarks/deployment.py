@@ -1,4 +1,4 @@
-"""The way to a simulated robot, measured: rates of the link, ages, answers to silence and faults, success over DDS.
+"""The way to a simulated robot, measured: rates of the link; what further benchmarks of it share.
 
 Robot and deployment are the processes of ``demohlm simulate-robot`` and ``demohlm deploy``, over loopback.
 """
@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from gym_demohlm.registry import get_task
-from lerobot_demohlm.hardware import recorder
 from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.layout import LowCmd, LowState
@@ -30,7 +28,6 @@ from lerobot_demohlm.hardware.records import Mode
 START_S = 240.0  # that a robot may take to start
 PATIENCE_S = 30.0
 SETTLE_S = 1.0  # between the gantry's letting go and RUN
-EPISODE_S = 60.0
 _LINK_HZ = 500
 _OTHER = """
 import json, sys, time
@@ -238,60 +235,6 @@ def stand_and_run(deployment: Deployment, robot: RobotProcess) -> float:
     deployment.request(Mode.RUN)
     deployment.wait_for(Mode.RUN, 5.0)
     return time.monotonic()
-
-
-def measure_success(
-    task: str, policy: Path, region: str, seeds: Sequence[int], source: str, domain: int = 182
-) -> dict[str, Any]:
-    """Run a policy on a simulated robot from seeded starts; returns outcomes and ages at the controller.
-
-    Args:
-        task: Name of the task.
-        policy: A ``pretrained_model`` directory.
-        region: Of the starts.
-        seeds: One an episode, each one more than the one before.
-        source: Of poses.
-        domain: Of DDS.
-    """
-    outcomes: list[dict[str, Any]] = []
-    with robot_and_folder(task, domain, ["--region", region, "--seed", str(seeds[0])]) as (robot, folder):
-        settings = settings_for(task, policy, robot, domain, folder / "record", source)
-        with Deployment(settings) as deployment:
-            for _ in seeds:
-                stand_and_run(deployment, robot)
-                found = robot.wait_for("episode", EPISODE_S)
-                outcomes.append(found | {"mode": deployment.mode.name, "reason": deployment.reason})
-                deployment.request(Mode.DAMP)
-                robot.wait_for("hangs", 20.0)
-        rows = recorder.read(folder / "record")
-        counted = robot.end()
-    running = np.asarray(rows["control.mode"]) == Mode.RUN
-    return {
-        "part": "success",
-        "task": get_task(task).name,
-        "region": region,
-        "source": source,
-        "episodes": len(outcomes),
-        "first_seed": seeds[0],
-        "successes": sum(entry["outcome"] == "success" for entry in outcomes),
-        "outcomes": [entry["outcome"] for entry in outcomes],
-        "held": [entry["reason"] for entry in outcomes if entry["mode"] != "RUN"],
-        **_ages(rows, running),
-        **{name: counted.get(name) for name in ("states", "late", "executed", "gaps_over_40_ms", "gap_p99_ms",
-                                                "gap_max_ms", "violations", "bad_crc")},
-        **machine(),
-    }  # fmt: skip
-
-
-def _ages(rows: Any, running: np.ndarray) -> dict[str, float]:  # noqa: ANN401
-    found = {}
-    for name in ("state", "policy", "pose"):
-        values = 1e3 * np.asarray(rows[f"control.{name}_age_s"], dtype=np.float64)[running]
-        values = values[np.isfinite(values)]
-        if len(values):
-            found |= {f"{name}_age_p50_ms": float(np.percentile(values, 50))}
-            found |= {f"{name}_age_p99_ms": float(np.percentile(values, 99))}
-    return found
 
 
 def machine() -> dict[str, Any]:

@@ -14,7 +14,7 @@ class Options:
     """Options of ``demohlm benchmark deployment``.
 
     Attributes:
-        part: Rates of the link; success from seeded starts; or answers to seeded faults.
+        part: Rates of the link; success from seeded starts, over DDS and in one process; or answers to seeded faults.
         policy: A pretrained_model directory, for success and faults.
         task: Name of the task.
         region: Of the starts, for success.
@@ -22,7 +22,7 @@ class Options:
         seed: Of the first start or fault.
         num_runs: Starts or faults.
         seconds: How long the link is measured [s].
-        append: Append results to this file of JSON lines; faults whose seeds it has already are left out.
+        append: Append results to this file of JSON lines; what it has already is not measured again, but the link.
     """
 
     part: Literal["link", "success", "faults"] = "link"
@@ -42,7 +42,7 @@ def run(options: Options) -> None:
     Raises:
         RobotError: No policy where one is needed, or a simulated robot that does not do what it is told.
     """
-    from lerobot_demohlm.benchmarks import deployment, deployment_faults
+    from lerobot_demohlm.benchmarks import deployment, deployment_faults, deployment_success
     from lerobot_demohlm.hardware.errors import RobotError
     from lerobot_demohlm.reproducibility.results import append_result
 
@@ -56,8 +56,9 @@ def run(options: Options) -> None:
     elif options.part == "success":
         call += f" --task {options.task} --region {options.region} --pose-source {options.pose_source}"
         call += f" --seed {options.seed} --num-runs {options.num_runs}"
-        results = iter(
-            [deployment.measure_success(options.task, options.policy, options.region, seeds, options.pose_source)]
+        known = deployment_success.read(options.append) if options.append and options.append.is_file() else []
+        results = deployment_success.measure_success(
+            options.task, options.policy, options.region, seeds, options.pose_source, known
         )
     else:
         call += f" --task {options.task} --seed {options.seed} --num-runs {options.num_runs}"

@@ -1,0 +1,50 @@
+"""Lines of success over the robot's protocol: measured once, read back, and shown as a table."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from gym_demohlm import jsonl
+from lerobot_demohlm.benchmarks import deployment_success
+from lerobot_demohlm.benchmarks.deployment_success import SuccessLine, measure_success, read, table
+
+LINE = SuccessLine(
+    task="LiftBox", region="R1", source="exact", policy="0123456789ab", first_seed=5, episodes=10, successes=9,
+    in_process=10,
+)  # fmt: skip
+
+
+def test_the_table_adds_up_the_lines_of_one_policy() -> None:
+    others = [replace(LINE, first_seed=15, successes=10), replace(LINE, source="rgbd"), replace(LINE, policy="f" * 12)]
+    assert table([LINE, *others]).splitlines()[2:] == [
+        "| LiftBox | R1 | `exact` | 20 | 95 (76 to 99) | 100 (84 to 100) |",
+        "| LiftBox | R1 | `rgbd` | 10 | 90 (60 to 98) | 100 (72 to 100) |",
+        "| LiftBox | R1 | `exact` | 10 | 90 (60 to 98) | 100 (72 to 100) |",
+    ]
+
+
+def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "lines.jsonl"
+    jsonl.append(path, [{"part": "link", "seconds": 1.0}, {"part": "success", "task": "LiftBox", "successes": 12}])
+    jsonl.append(path, [{"part": "success", **asdict(LINE), "load": 1.0}])
+    assert read(path) == [LINE]
+    sessions: list[list[int]] = []
+
+    def over_the_protocol(task: str, policy: Path, region: str, seeds: range, source: str) -> dict[str, Any]:
+        sessions.append(list(seeds))
+        return {"successes": len(seeds) - 1}
+
+    def in_process(loaded: object, task: str, region: str, seeds: range, source: str) -> dict[str, Any]:
+        return {"in_process": len(seeds)}
+
+    monkeypatch.setattr(deployment_success, "load_policy", lambda path, task: SimpleNamespace(hash=LINE.policy + "ff"))
+    monkeypatch.setattr(deployment_success, "_over_the_protocol", over_the_protocol)
+    monkeypatch.setattr(deployment_success, "_in_process", in_process)
+    for line in measure_success("LiftBox", tmp_path, "R1", range(5, 29), "exact", read(path)):
+        jsonl.append(path, [line])
+    assert sessions == [list(range(15, 25)), list(range(25, 29))]
+    assert sum(line.episodes for line in read(path)) == 24
+    assert sum(line.successes for line in read(path)) == 9 + 9 + 3
