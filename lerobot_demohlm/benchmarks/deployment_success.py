@@ -64,7 +64,13 @@ def read(path: Path) -> list[SuccessLine]:
 
 
 def measure_success(
-    task: str, policy: Path, region: str, seeds: Sequence[int], source: str, known: Sequence[SuccessLine] = ()
+    task: str,
+    policy: Path,
+    region: str,
+    seeds: Sequence[int],
+    source: str,
+    domain: int = DOMAIN,
+    known: Sequence[SuccessLine] = (),
 ) -> Iterator[dict[str, Any]]:
     """Run a policy from seeded starts over the protocol and in one process; yields a line for ``TOGETHER`` at a time.
 
@@ -74,6 +80,7 @@ def measure_success(
         region: Of the starts.
         seeds: One an episode, each one more than the one before.
         source: Of poses.
+        domain: Of DDS; measurements at the same time need one each.
         known: Lines that need not be measured again.
     """
     name, keys = get_task(task).name, {line.key for line in known}
@@ -83,7 +90,7 @@ def measure_success(
         facts = {"task": name, "region": region, "source": source, "policy": loaded.hash[:12], "first_seed": some[0]}
         if (*facts.values(), len(some)) not in keys:
             yield {"part": "success", **facts, "episodes": len(some), **_in_process(loaded, name, region, some, source),
-                   **_over_the_protocol(name, policy, region, some, source), **machine()}  # fmt: skip
+                   **_over_the_protocol(name, policy, region, some, source, domain), **machine()}  # fmt: skip
 
 
 def _in_process(loaded: LoadedPolicy, task: str, region: str, seeds: Sequence[int], source: str) -> dict[str, Any]:
@@ -94,10 +101,12 @@ def _in_process(loaded: LoadedPolicy, task: str, region: str, seeds: Sequence[in
     }
 
 
-def _over_the_protocol(task: str, policy: Path, region: str, seeds: Sequence[int], source: str) -> dict[str, Any]:
+def _over_the_protocol(
+    task: str, policy: Path, region: str, seeds: Sequence[int], source: str, domain: int
+) -> dict[str, Any]:
     outcomes: list[dict[str, Any]] = []
-    with robot_and_folder(task, DOMAIN, ["--region", region, "--seed", str(seeds[0])]) as (robot, folder):
-        settings = settings_for(task, policy, robot, DOMAIN, folder / "record", source)
+    with robot_and_folder(task, domain, ["--region", region, "--seed", str(seeds[0])]) as (robot, folder):
+        settings = settings_for(task, policy, robot, domain, folder / "record", source)
         with Deployment(settings) as deployment:
             for _ in seeds:
                 stand_and_run(deployment, robot)

@@ -22,6 +22,7 @@ class Options:
         seed: Of the first start or fault.
         num_runs: Starts or faults.
         seconds: How long the link is measured [s].
+        domain: Of DDS, for success; measurements at the same time need one each.
         append: Append results to this file of JSON lines; what it has already is not measured again, but the link.
     """
 
@@ -33,6 +34,7 @@ class Options:
     seed: int = 1_000_000
     num_runs: int = 10
     seconds: float = 60.0
+    domain: int = 182
     append: Annotated[Path | None, default("none")] = None
 
 
@@ -58,7 +60,7 @@ def run(options: Options) -> None:
         call += f" --seed {options.seed} --num-runs {options.num_runs}"
         known = deployment_success.read(options.append) if options.append and options.append.is_file() else []
         results = deployment_success.measure_success(
-            options.task, options.policy, options.region, seeds, options.pose_source, known
+            options.task, options.policy, options.region, seeds, options.pose_source, options.domain, known
         )
     else:
         call += f" --task {options.task} --seed {options.seed} --num-runs {options.num_runs}"

@@ -33,7 +33,9 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
     assert read(path) == [LINE]
     sessions: list[list[int]] = []
 
-    def over_the_protocol(task: str, policy: Path, region: str, seeds: range, source: str) -> dict[str, Any]:
+    def over_the_protocol(
+        task: str, policy: Path, region: str, seeds: range, source: str, domain: int
+    ) -> dict[str, Any]:
         sessions.append(list(seeds))
         return {"successes": len(seeds) - 1}
 
@@ -43,7 +45,7 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(deployment_success, "load_policy", lambda path, task: SimpleNamespace(hash=LINE.policy + "ff"))
     monkeypatch.setattr(deployment_success, "_over_the_protocol", over_the_protocol)
     monkeypatch.setattr(deployment_success, "_in_process", in_process)
-    for line in measure_success("LiftBox", tmp_path, "R1", range(5, 29), "exact", read(path)):
+    for line in measure_success("LiftBox", tmp_path, "R1", range(5, 29), "exact", known=read(path)):
         jsonl.append(path, [line])
     assert sessions == [list(range(15, 25)), list(range(25, 29))]
     assert sum(line.episodes for line in read(path)) == 24
