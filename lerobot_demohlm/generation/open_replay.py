@@ -5,6 +5,7 @@ and executes what comes of it. What this generator adds, and ``open_replay`` tak
 
 - walks that are made again where the robot stands off its goal;
 - hands that are steered by what they measurably miss, and inverse kinematics from where the base has gone;
+- hands that wait for the torso;
 - walks with something in the hands that follow the demonstrated path;
 - grips that settle and are verified, and palms that press as hard as it takes;
 - attempts that end as soon as the hands trail behind.
@@ -35,6 +36,7 @@ def open_replay(settings: Settings) -> Settings:
             path_gain=(0.0, 0.0, 0.0),
             arrive_ticks=0,
             watches_base=False,
+            torso_error_m=_ANYWHERE,
             reach_error_m=_ANYWHERE,
             hold_error_m=_ANYWHERE,
             displaced_m=_ANYWHERE,

@@ -59,8 +59,9 @@ class Playback:
     Attributes:
         stage: "pre_manipulation" or "manipulation".
         tick: Of the demonstration, which the last command was for.
-        activity: What that command did: "follow" the demonstration, "transit" to where a part of it begins, "settle" a
-            gripper, "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a failure.
+        activity: What that command did: "follow" the demonstration, "transit" to where a part of it begins, "wait" for
+            the torso, "settle" a gripper, "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a
+            failure.
         last_targets: (2, 4, 4) poses of the palms that it aimed at.
         error: (2,) what inverse kinematics left of the way to them [m].
         started: Segments that have begun, in the order of time.
@@ -124,7 +125,10 @@ class Playback:
                 continue
             self._steer(tick)
             self.activity = "follow"
-            yield self._command(self._targets[tick], tick, self._base_path.velocity(tick, self._pelvis(tick)))
+            velocity = self._base_path.velocity(tick, self._pelvis(tick))
+            yield self._command(self._targets[tick], tick, velocity)
+            if not velocity.any():
+                yield from self._await_torso(tick)
             if self._base_path.ends(tick):
                 yield from self._walk_on(tick)
             if closing:
@@ -261,6 +265,20 @@ class Playback:
         for velocity in self._carrying.walk(tick):
             self._follow_base(tick)
             yield self._command(self._targets[tick], tick, velocity)
+
+    def _await_torso(self, tick: int) -> Iterator[np.ndarray]:
+        """Wait until the torso has bent so far that hands which come to their objects are where they should be by now.
+
+        A torso bends slowly. Hands that went on would come down on an object from aside.
+        """
+        hands = list(self._motions)
+        least, patience = float(self.error[hands].max(initial=0.0)), self.settings.patience_ticks
+        while least > self.settings.torso_error_m and patience > 0:
+            self.activity = "wait"
+            yield self._command(self._targets[tick], tick)
+            error = float(self.error[hands].max())
+            patience = self.settings.patience_ticks if error < least - self.settings.torso_gain_m else patience - 1
+            least = min(least, error)
 
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
         """Walk what is left of a walk that ends with this tick."""

@@ -38,6 +38,10 @@ class PlaybackSettings:
         min_transit_ticks: Least number of ticks of that way.
         joining_share: Share of a segment in which hands may join its motion while it goes on. Where this is too short
             for their way, they make it before the segment begins.
+        torso_error_m: Distance of a palm from its target, by kinematics, from which on a motion that comes to an object
+            waits for the torso.
+        torso_gain_m: Least gain on that distance that counts.
+        patience_ticks: Ticks without a gain after which it goes on nonetheless.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
         hold_error_m: Largest distance of a palm from its target, by kinematics, during manipulation. It is larger than
             ``reach_error_m``, as a robot that stands a little off may trail.
@@ -62,6 +66,9 @@ class PlaybackSettings:
     transit_speed: float = 0.3
     min_transit_ticks: int = 5
     joining_share: float = 0.35
+    torso_error_m: float = 0.02
+    torso_gain_m: float = 0.001
+    patience_ticks: int = 4
     reach_error_m: float = 0.06
     hold_error_m: float = 0.15
     hold_ticks: int = 10

@@ -120,6 +120,32 @@ def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
     assert steps.max() < demonstrated.max() + 0.02  # m a tick
 
 
+@pytest.mark.parametrize(
+    ("left", "waited"),
+    [([0.05, 0.04, 0.03, 0.015], 3), ([0.05] * 10, 4), ([0.05] * 3 + [0.04] * 10, 7), ([0.015], 0)],
+    ids=["until the torso is there", "no gain", "a gain, then none", "there"],
+)
+def test_a_motion_waits_for_the_torso(left: list[float], waited: int) -> None:
+    """As long as hands that come to an object come nearer to where they should be by now; not while they hold it."""
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    approach = next(entry for entry in segment(demonstration, get_task(demonstration.task)) if entry.kind == "object")
+    world = FakeWorld(demonstration, 10.0)
+    made = playback(world, Settings())
+    asked = []  # the ticks that commands were for, as they are found
+
+    def solve(*, T_world_left: np.ndarray, T_world_right: np.ndarray, **_: object) -> IKSolution:
+        following = made.tick + (made.activity != "wait")
+        asked.append(following)
+        here = asked.count(following) - 1 if following in (20, approach.stop + 10) else -1
+        error = left[min(here, len(left) - 1)] if here >= 0 else 0.0
+        solution = world.solve(T_world_left=T_world_left, T_world_right=T_world_right)
+        return dataclasses.replace(solution, position_error=np.array([0.0, error]))
+
+    world.ik = SimpleNamespace(solve=solve)
+    waits = [made.tick for _ in made.run() if made.activity == "wait"]
+    assert waits == [20] * waited
+
+
 @pytest.mark.parametrize(("raised", "higher"), [(-0.1, 0.0), (0.0, 0.0), (0.15, 0.15)])
 def test_what_is_taken_higher_up_is_lifted_higher(raised: float, higher: float) -> None:
     """From lower down it ends where the demonstrated lift did: at the body."""
