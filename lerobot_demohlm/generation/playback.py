@@ -267,11 +267,11 @@ class Playback:
             yield self._command(self._targets[tick], tick, velocity)
 
     def _await_torso(self, tick: int) -> Iterator[np.ndarray]:
-        """Wait until the torso has bent so far that hands which come to their objects are where they should be by now.
+        """Wait until the torso has bent so far that hands close to their objects are where they should be by now.
 
         A torso bends slowly. Hands that went on would come down on an object from aside.
         """
-        hands = list(self._motions)
+        hands = [hand for hand in self._motions if self._is_close(tick, hand)]
         least, patience = float(self.error[hands].max(initial=0.0)), self.settings.patience_ticks
         while least > self.settings.torso_error_m and patience > 0:
             self.activity = "wait"
@@ -279,6 +279,12 @@ class Playback:
             error = float(self.error[hands].max())
             patience = self.settings.patience_ticks if error < least - self.settings.torso_gain_m else patience - 1
             least = min(least, error)
+
+    def _is_close(self, tick: int, hand: int) -> bool:
+        """Return whether a hand that follows an object is close to where its approach ends."""
+        entry = next(entry for entry in self._tracks[g1.SIDES[hand]] if entry.start <= tick < entry.stop)
+        left = self._targets[entry.stop - 1, hand, :3, 3] - self._targets[tick, hand, :3, 3]
+        return float(norm(left)) < self.settings.close_m
 
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
         """Walk what is left of a walk that ends with this tick."""

@@ -38,8 +38,8 @@ class PlaybackSettings:
         min_transit_ticks: Least number of ticks of that way.
         joining_share: Share of a segment in which hands may join its motion while it goes on. Where this is too short
             for their way, they make it before the segment begins.
-        torso_error_m: Distance of a palm from its target, by kinematics, from which on a motion that comes to an object
-            waits for the torso.
+        close_m: Distance from the end of its approach from which on a hand may make the motion wait for the torso.
+        torso_error_m: Distance of a palm from its target, by kinematics, from which on it does.
         torso_gain_m: Least gain on that distance that counts.
         patience_ticks: Ticks without a gain after which it goes on nonetheless.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
@@ -66,6 +66,7 @@ class PlaybackSettings:
     transit_speed: float = 0.3
     min_transit_ticks: int = 5
     joining_share: float = 0.35
+    close_m: float = 0.1
     torso_error_m: float = 0.02
     torso_gain_m: float = 0.001
     patience_ticks: int = 4

@@ -126,9 +126,10 @@ def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
     ids=["until the torso is there", "no gain", "a gain, then none", "there"],
 )
 def test_a_motion_waits_for_the_torso(left: list[float], waited: int) -> None:
-    """As long as hands that come to an object come nearer to where they should be by now; not while they hold it."""
+    """As long as hands close to an object come nearer to where they should be; not far from it, nor holding it."""
     demonstration = demonstrations.load(task=get_task("GraspCube"))
     approach = next(entry for entry in segment(demonstration, get_task(demonstration.task)) if entry.kind == "object")
+    far, close, after = 5, approach.stop - 3, approach.stop + 10
     world = FakeWorld(demonstration, 10.0)
     made = playback(world, Settings())
     asked = []  # the ticks that commands were for, as they are found
@@ -136,14 +137,14 @@ def test_a_motion_waits_for_the_torso(left: list[float], waited: int) -> None:
     def solve(*, T_world_left: np.ndarray, T_world_right: np.ndarray, **_: object) -> IKSolution:
         following = made.tick + (made.activity != "wait")
         asked.append(following)
-        here = asked.count(following) - 1 if following in (20, approach.stop + 10) else -1
+        here = asked.count(following) - 1 if following in (far, close, after) else -1
         error = left[min(here, len(left) - 1)] if here >= 0 else 0.0
         solution = world.solve(T_world_left=T_world_left, T_world_right=T_world_right)
         return dataclasses.replace(solution, position_error=np.array([0.0, error]))
 
     world.ik = SimpleNamespace(solve=solve)
     waits = [made.tick for _ in made.run() if made.activity == "wait"]
-    assert waits == [20] * waited
+    assert waits == [close] * waited
 
 
 @pytest.mark.parametrize(("raised", "higher"), [(-0.1, 0.0), (0.0, 0.0), (0.15, 0.15)])
