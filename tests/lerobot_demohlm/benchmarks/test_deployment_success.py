@@ -10,6 +10,7 @@ import pytest
 from gym_demohlm import jsonl
 from lerobot_demohlm.benchmarks import deployment_success
 from lerobot_demohlm.benchmarks.deployment_success import SuccessLine, measure_success, read, table
+from tests.helpers.paths import REPOSITORY
 
 LINE = SuccessLine(
     task="LiftBox", region="R1", source="exact", policy="0123456789ab", first_seed=5, episodes=10, successes=9,
@@ -50,3 +51,9 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
     assert sessions == [list(range(15, 25)), list(range(25, 29))]
     assert sum(line.episodes for line in read(path)) == 24
     assert sum(line.successes for line in read(path)) == 9 + 9 + 3
+
+
+def test_the_documented_table_is_that_of_the_results() -> None:
+    text = (REPOSITORY / "docs/deployment.md").read_text()
+    shown = text.partition("<!-- success -->")[2].partition("<!-- /success -->")[0]
+    assert shown.strip() == table(read(REPOSITORY / "results/deployment.jsonl"))
