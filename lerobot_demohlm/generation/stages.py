@@ -67,7 +67,7 @@ class PlaybackSettings:
     min_transit_ticks: int = 5
     joining_share: float = 0.35
     close_m: float = 0.1
-    torso_error_m: float = 0.02
+    torso_error_m: float = 0.01
     torso_gain_m: float = 0.001
     patience_ticks: int = 4
     reach_error_m: float = 0.06

@@ -122,7 +122,7 @@ def test_hands_join_a_motion_as_it_goes_on(raised: float) -> None:
 
 @pytest.mark.parametrize(
     ("left", "waited"),
-    [([0.05, 0.04, 0.03, 0.015], 3), ([0.05] * 10, 4), ([0.05] * 3 + [0.04] * 10, 7), ([0.015], 0)],
+    [([0.05, 0.04, 0.03, 0.005], 3), ([0.05] * 10, 4), ([0.05] * 3 + [0.04] * 10, 7), ([0.005], 0)],
     ids=["until the torso is there", "no gain", "a gain, then none", "there"],
 )
 def test_a_motion_waits_for_the_torso(left: list[float], waited: int) -> None:
