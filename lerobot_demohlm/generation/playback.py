@@ -252,7 +252,7 @@ class Playback:
     def _follow_base(self, tick: int) -> None:
         """Fill in the targets of hands that follow the base as it walks."""
         for hand, side in enumerate(g1.SIDES):
-            here = next(entry for entry in self._tracks[side] if entry.start <= tick < entry.stop)
+            here = self._segment(side, tick)
             if here.anchor == "base" and here.kind == "proprioception":
                 demonstrated = self.demonstration.T_world_targets[tick, hand]
                 T_W_Rd, T_W_R = self.demonstration.T_world_pelvis[tick], self._pelvis(tick)
@@ -282,8 +282,8 @@ class Playback:
 
     def _is_close(self, tick: int, hand: int) -> bool:
         """Return whether a hand that follows an object is close to where its approach ends."""
-        entry = next(entry for entry in self._tracks[g1.SIDES[hand]] if entry.start <= tick < entry.stop)
-        left = self._targets[entry.stop - 1, hand, :3, 3] - self._targets[tick, hand, :3, 3]
+        last = self._segment(g1.SIDES[hand], tick).stop - 1
+        left = self._targets[last, hand, :3, 3] - self._targets[tick, hand, :3, 3]
         return float(norm(left)) < self.settings.close_m
 
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
@@ -295,6 +295,10 @@ class Playback:
                 return
             self._follow_base(tick)
             yield self._command(self._targets[tick], tick, velocity)
+
+    def _segment(self, side: str, tick: int) -> Segment:
+        """Return what a hand is at, at a tick; its segments cover the demonstration."""
+        return next(entry for entry in self._tracks[side] if entry.start <= tick < entry.stop)
 
     def _approached(self, tick: int, side: str) -> Segment | None:
         """Return the segment in which a hand goes to the object that it is about to take hold of at a tick."""

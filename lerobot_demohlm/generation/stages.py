@@ -38,10 +38,10 @@ class PlaybackSettings:
         min_transit_ticks: Least number of ticks of that way.
         joining_share: Share of a segment in which hands may join its motion while it goes on. Where this is too short
             for their way, they make it before the segment begins.
-        close_m: Distance from the end of its approach from which on a hand may make the motion wait for the torso.
-        torso_error_m: Distance of a palm from its target, by kinematics, from which on it does.
-        torso_gain_m: Least gain on that distance that counts.
-        patience_ticks: Ticks without a gain after which it goes on nonetheless.
+        close_m: Distance of a palm from the end of its approach below which the motion may wait for the torso.
+        torso_error_m: Distance of such a palm from its target, by kinematics, above which the motion waits.
+        torso_gain_m: Least decrease of that distance, in one tick, that counts as a gain.
+        patience_ticks: Number of ticks without a gain after which the motion stops waiting.
         reach_error_m: Largest distance of a palm from its target, by kinematics, at the switch to manipulation.
         hold_error_m: Largest distance of a palm from its target, by kinematics, during manipulation. It is larger than
             ``reach_error_m``, as a robot that stands a little off may trail.

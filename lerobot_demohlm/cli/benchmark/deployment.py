@@ -23,7 +23,7 @@ class Options:
         num_runs: Starts or faults.
         seconds: How long the link is measured [s].
         domain: Of DDS, for success; measurements at the same time need one each.
-        append: Append results to this file of JSON lines; what it has already is not measured again, but the link.
+        append: Append results to this file of JSON lines; starts and faults that it has already are left out.
     """
 
     part: Literal["link", "success", "faults"] = "link"

@@ -5,9 +5,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
+import gym_demohlm  # noqa: F401
 from gym_demohlm import jsonl
+from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks import deployment_success
 from lerobot_demohlm.benchmarks.deployment_success import SuccessLine, measure_success, read, table
 from tests.helpers.paths import REPOSITORY
@@ -51,6 +55,15 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
     assert sessions == [list(range(15, 25)), list(range(25, 29))]
     assert sum(line.episodes for line in read(path)) == 24
     assert sum(line.successes for line in read(path)) == 9 + 9 + 3
+
+
+@pytest.mark.parametrize("region", ["R1", "R3"])
+def test_a_seed_is_the_same_start_in_one_process_and_on_the_simulated_robot(region: str) -> None:
+    env = gym.make("DemoHLM/LiftBox-v0", region=region)
+    for seed in (0, 3_000_000):
+        _, info = env.reset(seed=seed)
+        assert info["initial_state"] == get_task("LiftBox").sample(region, np.random.default_rng(seed))
+    env.close()
 
 
 def test_the_documented_table_is_that_of_the_results() -> None:
