@@ -21,6 +21,7 @@ from gym_demohlm.control import command, reference
 from gym_demohlm.control.ik_pass import Advance, Pass
 from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.control.kernels import ik as kernels
+from gym_demohlm.control.shoulder_room import ShoulderRoom
 from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import CommandError
 from gym_demohlm.robot import g1
@@ -69,6 +70,7 @@ class WholeBodyIK:
         """
         self.settings = settings or IKSettings()
         self._model, self._data = model, mujoco.MjData(model)
+        self._room = ShoulderRoom(model)
         self._ahead = Weights().make_reference().ahead
         self._rates = np.zeros(command.SIZE)
         self._rates[command.TORSO], self._rates[command.HEIGHT] = self.settings.torso_rate, self.settings.height_rate
@@ -180,11 +182,13 @@ class WholeBodyIK:
     def _window(self, previous: np.ndarray, dt: float, walking: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the bounds of the next command, (23,) each: its own bounds met with what the rates allow.
 
-        A robot that starts to walk while it bends further than it may has its torso brought back at the fastest rate.
-        The third are upper bounds of the torso pass, whose elbows stay bent.
+        A robot that starts to walk while it bends further than it may has its torso brought back at the fastest rate,
+        and so has a shoulder that is rolled further inwards than the trunk lets it. The third are upper bounds of the
+        torso pass, whose elbows stay bent.
         """
         lower, upper, bent = np.empty((3, command.SIZE))
-        kernels.window(previous, self._rates * dt, *self._bounds[walking], self._straightest, lower, upper, bent)
+        bounds = self._room.narrow(previous, *self._bounds[walking])
+        kernels.window(previous, self._rates * dt, *bounds, self._straightest, lower, upper, bent)
         return lower, upper, bent
 
     def _advance(self, height: float, third_row: np.ndarray) -> Advance:

@@ -87,6 +87,7 @@ class Playback:
         self._targets = np.tile(np.eye(4), (len(demonstration), len(g1.SIDES), 1, 1))
         self.last_targets = world.hands()  # where the hands are stands in for the first commanded target
         self.error, self._trailing = np.zeros(len(g1.SIDES)), 0
+        self._unmended = np.zeros(len(g1.SIDES))  # m, errors that no waiting for the torso has mended
         self._way = [self.last_targets]  # of the hands so far
         self._motions: dict[int, np.ndarray] = {}  # of hands that follow an object: from the demonstrated scene to this
         self._shift = np.zeros((len(g1.SIDES), 3))  # m, by which their targets are moved so that they get there
@@ -269,16 +270,23 @@ class Playback:
     def _await_torso(self, tick: int) -> Iterator[np.ndarray]:
         """Wait until the torso has bent so far that hands close to their objects are where they should be by now.
 
-        A torso bends slowly. Hands that went on would come down on an object from aside.
+        A torso bends slowly. Hands that went on would come down on an object from aside. What remains when the torso
+        has come to rest is not waited for again.
         """
         hands = [hand for hand in self._motions if self._is_close(tick, hand)]
-        least, patience = float(self.error[hands].max(initial=0.0)), self.settings.patience_ticks
+
+        def left() -> float:
+            return float((self.error - self._unmended)[hands].max(initial=0.0))
+
+        least, patience = left(), self.settings.patience_ticks
         while least > self.settings.torso_error_m and patience > 0:
             self.activity = "wait"
             yield self._command(self._targets[tick], tick)
-            error = float(self.error[hands].max())
+            error = left()
             patience = self.settings.patience_ticks if error < least - self.settings.torso_gain_m else patience - 1
             least = min(least, error)
+        if patience == 0:
+            self._unmended[hands] = np.maximum(self._unmended, self.error)[hands]
 
     def _is_close(self, tick: int, hand: int) -> bool:
         """Return whether a hand that follows an object is close to where its approach ends."""
