@@ -18,6 +18,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.perception.disturbance import varies
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.simulation.judge import Judge
@@ -61,7 +62,8 @@ class RunningEpisodes:
         obs_type: "state", or "pixels_agent_pos" to add the head camera's image.
         controller: For these worlds, or its name, path or hash; the default one by default.
         perception: How objects are seen, such as "exact", or "rgbd" for a tracker of a simulated depth camera's
-            images; see ``gym_demohlm.perception.settings``.
+            images; see ``gym_demohlm.perception.settings``. In worlds whose variation has the group ``perception``,
+            "exact" has the errors that episodes draw.
         image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
         variation: How worlds differ: "none", "real" or "hard" (docs/variation.md).
 
@@ -95,7 +97,7 @@ class RunningEpisodes:
         self._strict = np.zeros(num_worlds, dtype=bool)
         self._sight: Sight | None = None
         settings = PerceptionSettings.read(perception)
-        if not settings.is_exact:
+        if not settings.is_exact or varies(self.sim.variation):
             from gym_demohlm.perception import sight  # loads OpenCV and SciPy
 
             self._sight = sight.Sight(self.sim, settings)

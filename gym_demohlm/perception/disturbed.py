@@ -1,4 +1,4 @@
-"""Any perceiver -> the same with a bias of an episode, lost frames and latency, for what these alone do to a policy.
+"""Any perceiver -> the same with a bias of an episode, lost frames and latency: for what these alone do, or as drawn.
 
 What is old is brought to the camera's present place by odometry: a robot knows when a picture was taken. So latency
 does nothing to what rests, and only what moves is told where it was.
@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gym_demohlm import poses
+from gym_demohlm.perception.disturbance import Disturbance
 from gym_demohlm.perception.estimate import PERCEPTION_STREAM, Perceiver, PoseEstimate, faults_of
+from gym_demohlm.perception.model import ModelPerceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
@@ -27,11 +29,13 @@ class _World:
 
     Attributes:
         rng: Of bias and lost frames.
+        disturbance: What is wrong with its eyes.
         bias: Turns (k, 3, 3) and shifts (k, 3) [m] in the frame ``head_camera``; None before the first look.
         seen: What was seen in the last frames, the oldest first: poses (k, 4, 4) in the world, valid, age, inliers.
     """
 
     rng: np.random.Generator
+    disturbance: Disturbance
     bias: tuple[np.ndarray, np.ndarray] | None = None
     seen: deque[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=deque)
 
@@ -41,20 +45,29 @@ class DisturbedPerceiver:
 
     Args:
         source: Whose estimates are disturbed.
-        settings: ``bias_mm``, ``dropout`` and ``latency_s`` of it are read.
+        settings: ``bias_mm``, ``dropout`` and ``latency_s`` of it count where an episode draws none of its own.
         num_worlds: N of the simulation.
     """
 
     def __init__(self, source: Perceiver, settings: PerceptionSettings, num_worlds: int) -> None:
-        self._source, self._settings = source, settings
-        self._delay = round(settings.latency_s / STEP_DT)
+        self._source, self._plain = source, Disturbance.of(settings)
         self._worlds: list[_World | None] = [None] * num_worlds
 
     def begin(self, rows: np.ndarray, seeds: Sequence[int]) -> None:
         """Forget everything about some worlds."""
         self._source.begin(rows, seeds)
         for row, seed in zip(rows, seeds, strict=True):
-            self._worlds[row] = _World(rng=np.random.default_rng([PERCEPTION_STREAM, _OWN_STREAM, seed]))
+            rng = np.random.default_rng([PERCEPTION_STREAM, _OWN_STREAM, seed])
+            self._worlds[row] = _World(rng=rng, disturbance=self._plain)
+
+    def disturb(self, rows: np.ndarray, disturbances: Sequence[Disturbance]) -> None:
+        """Give some worlds (n,), whose episodes have begun, what is wrong with their own eyes."""
+        for row, disturbance in zip(rows, disturbances, strict=True):
+            world = self._worlds[row]
+            assert world is not None  # its episode has begun
+            world.disturbance = disturbance
+            if isinstance(self._source, ModelPerceiver):
+                self._source.share[row] = disturbance.errors
 
     def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
         """Look through the other perceiver, and tell what is old, off or nothing new."""
@@ -68,8 +81,8 @@ class DisturbedPerceiver:
                 world = self._worlds[row]
                 assert world is not None
             if world.bias is None:
-                world.bias = self._draw_bias(world.rng, now.valid.shape[1])
-            lost = world.rng.random() < self._settings.dropout
+                world.bias = _draw_bias(world.rng, now.valid.shape[1], world.disturbance.bias_mm)
+            lost = world.rng.random() < world.disturbance.dropout
             turn, shift = world.bias
             T = now.T_camera_object[place]
             T_world_object = T_world_camera[place] @ poses.from_rotation(turn @ T[:, :3, :3], T[:, :3, 3] + shift)
@@ -78,7 +91,7 @@ class DisturbedPerceiver:
                 T, valid, age, inliers = world.seen[-1]
                 new = T, np.zeros_like(valid), age + STEP_DT, inliers
             world.seen.append(new)
-            if len(world.seen) > self._delay + 1:
+            if len(world.seen) > round(world.disturbance.latency_s / STEP_DT) + 1:
                 world.seen.popleft()
             T, valid, age, inliers = world.seen[0]
             waited = STEP_DT * (len(world.seen) - 1)
@@ -94,9 +107,9 @@ class DisturbedPerceiver:
         """Close the other perceiver."""
         self._source.close()
 
-    def _draw_bias(self, rng: np.random.Generator, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bias of an episode, of fixed lengths in random directions; see ``_World``."""
-        axes = rng.standard_normal((2, num_objects, 3))
-        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        length = self._settings.bias_mm
-        return poses.rotation_from_vector(_TURN_OF_MM * length * axes[0]), 1e-3 * length * axes[1]
+
+def _draw_bias(rng: np.random.Generator, num_objects: int, length_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bias of an episode, of fixed lengths in random directions; see ``_World``."""
+    axes = rng.standard_normal((2, num_objects, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    return poses.rotation_from_vector(_TURN_OF_MM * length_mm * axes[0]), 1e-3 * length_mm * axes[1]

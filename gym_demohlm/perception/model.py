@@ -29,6 +29,9 @@ class ModelPerceiver:
         path: File of the model; the packaged one of the task by default.
         model: The model itself, instead of a file.
 
+    Attributes:
+        share: (N,) errors of each world over the fitted ones; 0 for exact poses, which are never lost.
+
     Raises:
         SceneError: There is no such file, or it is damaged or of another task.
     """
@@ -38,6 +41,7 @@ class ModelPerceiver:
         self._exact = ExactPerceiver()
         self._visibility: Visibility | None = None
         k = len(task.objects)
+        self.share = np.ones(num_worlds)
         self._rngs: list[np.random.Generator | None] = [None] * num_worlds
         self._bias = np.zeros((num_worlds, k, 2, 3))  # of shifts and of turns
         self._noise = np.zeros((num_worlds, k, 2, 3))
@@ -51,7 +55,7 @@ class ModelPerceiver:
         for row, seed in zip(rows, seeds, strict=True):
             rng = self._rngs[row] = np.random.default_rng([PERCEPTION_STREAM, _OWN_STREAM, seed])
             self._bias[row] = rng.standard_normal(self._bias.shape[1:])
-            self._begun[row] = False
+            self._begun[row], self.share[row] = False, 1.0
 
     def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
         """Return poses with errors in some worlds (n,)."""
@@ -106,7 +110,7 @@ class ModelPerceiver:
             found = np.where(hidden[:, k], entry.found_when_hidden, entry.found_when_seen)
             before = self._valid[rows, k] | ~self._begun[rows]
             shown[:, k] = np.where(before, odds[:, k] >= lost, odds[:, k] < found)
-        return shown & (visible > 0.0)
+        return (shown & (visible > 0.0)) | (self.share[rows] == 0.0)[:, None]
 
     def _disturbed(self, rows: np.ndarray, exact: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """Return poses (n, k, 4, 4) with shifts and turns."""
@@ -128,7 +132,7 @@ class ModelPerceiver:
     ) -> np.ndarray:
         share = channel.bias_share
         g = np.sqrt(share) * self._bias[rows, k, kind] + np.sqrt(1.0 - share) * self._noise[rows, k, kind]
-        return channel.errors(g, distance, visible)
+        return self.share[rows, None] * channel.errors(g, distance, visible)
 
 
 def ray_frame(p_camera: np.ndarray) -> np.ndarray:

@@ -5,29 +5,39 @@ measure and tracks the objects in it. ``apriltag`` looks for tags on them. ``rem
 ``PoseEstimate``, from which an observation and the gaze are made.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
+from gym_demohlm.perception.disturbance import varies
 from gym_demohlm.perception.estimate import Perceiver
 from gym_demohlm.perception.exact import ExactPerceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.task import Task
+from gym_demohlm.variation import NONE, Variation
 
 
-def make_perceiver(settings: str | PerceptionSettings, task: Task, num_worlds: int) -> Perceiver:
+def make_perceiver(
+    settings: str | PerceptionSettings, task: Task, num_worlds: int, variation: Variation = NONE
+) -> Perceiver:
     """Return a perceiver.
 
     Args:
         settings: Which, and what is wrong with it; see ``PerceptionSettings.read``.
         task: The task.
         num_worlds: N of the simulation.
+        variation: Of the worlds. Where episodes draw how they see, "exact" stands for "model", and the perceiver is a
+            ``DisturbedPerceiver``.
 
     Raises:
         UnknownNameError: There is no such source.
         SceneError: The source needs graphics, and this machine has none.
     """
     settings = PerceptionSettings.read(settings)
+    drawn = varies(variation)
+    if drawn and settings.source == "exact":
+        settings = replace(settings, source="model")
     perceiver = _source(settings, task, num_worlds)
-    if not settings.is_disturbed:
+    if not (settings.is_disturbed or drawn):
         return perceiver
     from gym_demohlm.perception.disturbed import DisturbedPerceiver
 

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gym_demohlm.perception.disturbance import Disturbance
+from gym_demohlm.perception.disturbed import DisturbedPerceiver
 from gym_demohlm.perception.estimate import PoseEstimate, faults_of
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState
+from gym_demohlm.variation import Conditions, Variation
 
 
 class Sight:
@@ -22,14 +25,17 @@ class Sight:
     Args:
         sim: The worlds.
         settings: See ``make_perceiver``.
+        variation: By which episodes draw how they see; that of the worlds by default.
 
     Raises:
         UnknownNameError: There is no such source.
     """
 
-    def __init__(self, sim: Simulation, settings: str | PerceptionSettings) -> None:
+    def __init__(self, sim: Simulation, settings: str | PerceptionSettings, variation: Variation | None = None) -> None:
         self._sim = sim
-        self._perceiver = make_perceiver(settings, sim.task, sim.num_worlds)
+        self._settings = PerceptionSettings.read(settings)
+        variation = sim.variation if variation is None else variation
+        self._perceiver = make_perceiver(self._settings, sim.task, sim.num_worlds, variation)
         shape = sim.num_worlds, len(sim.task.objects)
         self._estimate = PoseEstimate(
             T_camera_object=np.tile(np.eye(4), (*shape, 1, 1)),
@@ -47,6 +53,9 @@ class Sight:
     def begin(self, rows: np.ndarray, initial_states: Sequence[InitialState]) -> None:
         """Begin episodes in some worlds (n,) and look at them."""
         self._perceiver.begin(rows, [_seed(state) for state in initial_states])
+        if isinstance(self._perceiver, DisturbedPerceiver):
+            drawn = [Disturbance.of(self._settings, Conditions.read(state)) for state in initial_states]
+            self._perceiver.disturb(rows, drawn)
         self.look(rows)
 
     def look(self, rows: np.ndarray) -> None:

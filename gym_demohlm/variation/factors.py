@@ -16,7 +16,6 @@ from gym_demohlm.robot import g1
 Range = tuple[float, float]
 Group = Literal["objects", "robot", "start", "pushes", "scene", "perception"]
 GROUPS: tuple[Group, ...] = ("objects", "robot", "start", "pushes", "scene", "perception")
-"""``perception`` has no factors of its own yet: a model of tracking errors adds them to ``FACTORS``."""
 
 LIMBS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -209,6 +208,25 @@ _ALL = (
         bounds=(0.0, 1.0), meaning="nearness, direction and size of a can on the table, behind the objects; 0 is the "
         "nearest, the straightest and the smallest",
         source=_CHOSEN,
+    ),
+    Factor(
+        group="perception", name="errors", unit="1", neutral=0.0, real=(0.5, 1.5), hard=(1.0, 3.0), bounds=(0.0, 10.0),
+        meaning="errors of poses over those that are fitted to the tracker; with 0 nothing is lost either",
+        source="`demohlm fit-perception`; the spread is chosen",
+    ),
+    Factor(
+        group="perception", name="bias", unit="mm", neutral=0.0, real=(0.0, 3.0), hard=(0.0, 8.0), bounds=(0.0, 100.0),
+        meaning="each object is told elsewhere by this length, and turned by 0.2 degrees a millimetre, throughout the "
+        "episode: a camera or a mesh that is a little off",
+        source=f"{_CHOSEN}: what is left of a camera's calibration",
+    ),
+    Factor(
+        group="perception", name="latency", unit="s", neutral=0.0, real=(0.0, 0.1), hard=(0.0, 0.3), bounds=(0.0, 5.0),
+        meaning="age of poses, in whole steps of 0.1 s", source="FoundationPose's users: 5 to 10 poses a second",
+    ),
+    Factor(
+        group="perception", name="dropout", unit="1", neutral=0.0, real=(0.0, 0.05), hard=(0.0, 0.2), bounds=(0.0, 1.0),
+        meaning="share of frames that tell nothing new", source=_CHOSEN,
     ),
 )  # fmt: skip
 

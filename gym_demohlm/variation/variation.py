@@ -87,7 +87,7 @@ def get_variation(name: str) -> Variation:
 
     Raises:
         UnknownNameError: There is no such preset or group.
-        SceneError: The strength is no number from 0 to 3, or a group has no factors, or its ranges leave their bounds.
+        SceneError: The strength is no number from 0 to 3.
     """
     head, colon, chosen = name.partition(":")
     preset, at, number = head.partition("@")
@@ -98,8 +98,6 @@ def get_variation(name: str) -> Variation:
     for group in groups:
         if group not in GROUPS:
             raise UnknownNameError("group", group, GROUPS)
-        if colon and not any(factor.group == group for factor in FACTORS.values()):
-            raise SceneError(f"the group {group!r}, which has no factors", "one that has", "leave it out")
     if preset == "none" or strength == 0.0:
         return NONE
     chosen_factors = {key: factor for key, factor in FACTORS.items() if factor.group in groups}

@@ -6,7 +6,7 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError, UnknownNameError
-from gym_demohlm.variation.factors import FACTORS, GROUPS
+from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
@@ -14,7 +14,6 @@ from lerobot_demohlm.experiments.tables import markdown
 
 PRESET = "hard"
 STRENGTHS = (0.5, 1.0, 1.5)
-VARIED = tuple(group for group in GROUPS if any(factor.group == group for factor in FACTORS.values()))
 SUCCESS = "success_strict"
 
 
@@ -48,8 +47,8 @@ def measure(
     if num_episodes < 1:
         raise DatasetError(f"num_episodes={num_episodes}", "1 or more", "correct --num-episodes")
     for group in groups:
-        if group not in VARIED:
-            raise UnknownNameError("group", group, VARIED)
+        if group not in GROUPS:
+            raise UnknownNameError("group", group, GROUPS)
     cells = [(None, 0.0), *((group, strength) for group in groups for strength in STRENGTHS)]
     for group, strength in cells:
         setting = Setting(task=task, region=region, variation=variation(group, strength), num_workers=num_workers)
@@ -78,7 +77,7 @@ def table(lines: Path) -> str:
         DatasetError: There is no such file, or it is damaged.
     """
     found = _read(lines)
-    header = ["task", "policy", "plain", *(f"{group}, x {' / '.join(f'{s:g}' for s in STRENGTHS)}" for group in VARIED)]
+    header = ["task", "policy", "plain", *(f"{group}, x {' / '.join(f'{s:g}' for s in STRENGTHS)}" for group in GROUPS)]
     rows = []
     for task, region, policy in dict.fromkeys(key[:3] for key in found):
 
@@ -86,7 +85,7 @@ def table(lines: Path) -> str:
             line = found.get((*of, group, strength))
             return "-" if line is None else f"{100 * line[SUCCESS]['rate']:.0f}"
 
-        cells = [" / ".join(rate(group, strength) for strength in STRENGTHS) for group in VARIED]
+        cells = [" / ".join(rate(group, strength) for strength in STRENGTHS) for group in GROUPS]
         rows.append([f"{task} {region}", policy, rate("none", 0.0), *cells])
     return f"**Strict success [%] in worlds that vary by one group of `{PRESET}`**\n\n" + markdown(header, rows)
 
@@ -103,7 +102,7 @@ def draw(lines: Path, figure: Path) -> None:
     """
     found = _read(lines)
     panels = []
-    for group in VARIED:
+    for group in GROUPS:
         curves = {}
         for task, region, policy in dict.fromkeys(key[:3] for key in found):
             cells = [found.get((task, region, policy, "none", 0.0))]

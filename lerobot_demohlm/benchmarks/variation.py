@@ -11,15 +11,14 @@ from pathlib import Path
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import DEFAULT_REGION, Task
-from gym_demohlm.variation.factors import FACTORS, GROUPS
+from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.benchmarks.tally import Tally, stamps, tally
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility.results import append_result
 
 SEED = 970_000  # of the attempts' starts; not one that datasets, trials or other probes use
-_VARIED = tuple(group for group in GROUPS if any(factor.group == group for factor in FACTORS.values()))
-PROBES = ("none", "real", *(f"real:{group}" for group in _VARIED))
+PROBES = ("none", "real", *(f"real:{group}" for group in GROUPS))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,12 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
+from gym_demohlm.perception.disturbance import has_drawn
 from gym_demohlm.perception.sight import Sight
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.judge import held
 from gym_demohlm.task import Task
+from gym_demohlm.variation import NONE
 from lerobot_demohlm.checks.difference import Difference, deviation
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.reader import ACTION, ENVIRONMENT_STATE, STATE, SUCCESS, StoredEpisode
@@ -38,7 +40,8 @@ def compare(
     Returns:
         The first difference of each, None where every bit agrees.
     """
-    sight = open_sight(sim, perception)
+    drawn = any(has_drawn(entry.initial_state) for entry in episodes)
+    sight = open_sight(sim, perception, sim.variation if drawn else NONE)
     try:
         return _compared(sim, episodes, bounded, watch, sight)
     finally:

@@ -35,10 +35,12 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.perception.disturbance import varies
 from gym_demohlm.perception.error_model import fitted_path, read_model
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation.judge import OUTCOMES
 from gym_demohlm.task import Task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.reproducibility import provenance
@@ -163,8 +165,9 @@ class GenerationFacts:
 
 def perception_fit(task: Task, facts: Mapping[str, Any]) -> str:
     """Return the hash of the errors' model by which a run with such facts sees objects now; empty where it has none."""
-    seen = PerceptionSettings.read(DataVariation.read(facts).perception)
-    if seen.source != "model":
+    knobs = DataVariation.read(facts)
+    seen, drawn = PerceptionSettings.read(knobs.perception), varies(get_variation(knobs.variation))
+    if seen.source != "model" and not (drawn and seen.source == "exact"):
         return ""
     return read_model(Path(seen.fit) if seen.fit else fitted_path(task), task).hash
 

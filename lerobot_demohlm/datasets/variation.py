@@ -29,7 +29,8 @@ class DataVariation:
         stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.
         variation: How worlds differ: none, real or hard, with a strength and groups as in "real@0.5:objects+pushes".
         perception: How observations and the neck see objects: exact, model, rgbd or apriltag, with options as
-            "rgbd,masks=color" has. What plans the motion sees exactly.
+            "rgbd,masks=color" has. What plans the motion sees exactly. Where the variation has the group perception,
+            exact has the errors that episodes draw.
 
     Raises:
         UnknownNameError: There is no such variation or perception.

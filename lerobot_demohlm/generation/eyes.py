@@ -3,15 +3,23 @@
 import numpy as np
 
 from gym_demohlm.envs import observation
+from gym_demohlm.perception.disturbance import varies
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.perception.sight import Sight
 from gym_demohlm.simulation import Simulation
+from gym_demohlm.variation import Variation
 
 
-def open_sight(sim: Simulation, settings: str | PerceptionSettings) -> Sight | None:
-    """Return eyes that are not exact; None for exact ones, whose worlds need none."""
-    settings = PerceptionSettings.read(settings)
-    return None if settings.is_exact else Sight(sim, settings)
+def open_sight(sim: Simulation, settings: str | PerceptionSettings, variation: Variation | None = None) -> Sight | None:
+    """Return eyes that are not exact; None for exact ones, whose worlds need none.
+
+    Args:
+        sim: The worlds.
+        settings: How they see.
+        variation: By which episodes draw how they see; that of the worlds by default.
+    """
+    settings, variation = PerceptionSettings.read(settings), sim.variation if variation is None else variation
+    return None if settings.is_exact and not varies(variation) else Sight(sim, settings, variation)
 
 
 def seen_objects(sim: Simulation, sight: Sight | None) -> np.ndarray:

@@ -40,7 +40,8 @@ def run(options: Options) -> None:
         UnknownNameError: No such task, region or group.
         PolicyError: The policy does not fit.
     """
-    from lerobot_demohlm.benchmarks.robustness import VARIED, draw, measure, table
+    from gym_demohlm.variation.factors import GROUPS
+    from lerobot_demohlm.benchmarks.robustness import draw, measure, table
     from lerobot_demohlm.reproducibility.results import append_result
 
     if options.policy is not None:
@@ -55,7 +56,7 @@ def run(options: Options) -> None:
             loaded,
             options.task,
             options.region,
-            options.groups or VARIED,
+            options.groups or GROUPS,
             options.num_episodes,
             num_workers=options.num_workers,
         ):

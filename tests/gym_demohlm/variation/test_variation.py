@@ -13,7 +13,7 @@ from tests.helpers.paths import REPOSITORY
 
 def test_names() -> None:
     assert get_variation("none") is NONE and not NONE
-    assert get_variation("real").groups == tuple(group for group in GROUPS if group != "perception")
+    assert get_variation("real").groups == GROUPS
     assert get_variation("real:pushes+objects").groups == ("objects", "pushes")
     assert get_variation("hard@0") is NONE
 
@@ -23,7 +23,6 @@ def test_names() -> None:
     [
         ("reel", UnknownNameError, "did you mean 'real'"),
         ("real:object", UnknownNameError, "did you mean 'objects'"),
-        ("real:perception", SceneError, "no factors"),
         ("real@much", SceneError, "from 0 to 3"),
         ("real@9", SceneError, "from 0 to 3"),
     ],

@@ -14,7 +14,7 @@ from tests.helpers.checkpoints import save_policy
 
 
 def test_every_cell_is_a_variation() -> None:
-    for group in robustness.VARIED:
+    for group in robustness.GROUPS:
         for strength in robustness.STRENGTHS:
             ranges = get_variation(robustness.variation(group, strength)).ranges
             assert ranges and all(key.startswith(f"{group}.") for key in ranges)

@@ -60,3 +60,18 @@ def test_errors_of_a_model_are_recorded_and_repeated(tmp_path: Path) -> None:
 def test_what_a_tracker_sees_of_varied_worlds_is_recorded_and_drawn_and_repeated(tmp_path: Path) -> None:
     _generated(tmp_path / "seen", perception="rgbd", variation="real@0.5:objects+scene")
     assert verify(tmp_path / "seen", TASK).identical
+
+
+def test_what_episodes_draw_of_their_eyes_is_recorded_and_repeated(tmp_path: Path) -> None:
+    """The group ``perception`` of a variation has the fitted errors; datasets from before it keep exact poses."""
+    root = tmp_path / "seen"
+    drawn = DataVariation(command_noise=0.0, variation="real:perception")
+    request = GenerationRequest(
+        task=TASK.name, region="R1", seed=5, root=root, num_attempts=2, variation=drawn, show_progress=False
+    )
+    assert generate(request).successes == 2
+    facts, (plain, *_) = read_facts(root), _generated(tmp_path / "exact")
+    assert facts[PERCEPTION_FIT] and "perception" not in facts
+    off = np.linalg.norm(next(iter(read_arrays(root)))[OBJECTS][0, :3] - plain[OBJECTS][0, :3])
+    assert 0.0 < off < 0.03
+    assert verify(root, TASK).identical
