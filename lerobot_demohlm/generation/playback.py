@@ -11,11 +11,12 @@ from gym_demohlm.control import command
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
-from lerobot_demohlm.demonstrations.segmentation import TOGETHER_TICKS, gripper_events, groups
+from lerobot_demohlm.demonstrations.segmentation import groups
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
+from lerobot_demohlm.generation.gripping import Gripping
 from lerobot_demohlm.generation.squeeze import Squeeze
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
@@ -77,7 +78,7 @@ class Playback:
         settings: Settings,
     ) -> None:
         self.world, self.task, self.demonstration = world, task, demonstration
-        self.settings, self.grip = settings.playback, settings.grip
+        self.settings = settings.playback
         self.stage, self.tick, self.activity = PRE_MANIPULATION, 0, "transit"
         self.started: list[Started] = []
         self._names = [entry.name for entry in task.objects]
@@ -98,18 +99,17 @@ class Playback:
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
         share = settings.adaptation.squeeze if settings.adapts else 0.0
         self._squeeze = Squeeze(world, task, demonstration, share, settings.adaptation.max_squeeze_m)
-        gripping = [] if task.hands == "rubber" else gripper_events(demonstration.action)
-        self._closing = _by_tick([(event.tick, event.hand) for event in gripping if event.kind == "close"])
-        self._switches = {entry.start for entry in segments if entry.start > 0} | {event.tick for event in gripping}
+        self._gripping = Gripping(world, task, demonstration, segments, settings.grip)
+        self._switches = {entry.start for entry in segments if entry.start > 0} | self._gripping.switches
 
     def run(self) -> Iterator[np.ndarray]:
         """Yield commands until the demonstration is over."""
         for tick in range(len(self.demonstration)):
             if tick < self._carrying.resumes:
                 continue  # the robot has walked to the goal in its own way
-            closing = self._closing.get(tick, [])
-            if closing:
-                yield from self._settle(tick, closing)
+            closes = bool(self._gripping.closing(tick))
+            if closes:
+                yield from self._settle(tick)
             starting = [group for group in self._groups if group[0].start == tick]
             if starting:
                 self._since = self._floor(self.world.pose("pelvis")) @ poses.invert(self._floor_d(tick))
@@ -132,8 +132,8 @@ class Playback:
                 yield from self._await_torso(tick)
             if self._base_path.ends(tick):
                 yield from self._walk_on(tick)
-            if closing:
-                yield from self._verify_grip(tick, closing)
+            if closes:
+                yield from self._verify_grip(tick)
         last = self.world.command()
         self.activity = "hold"
         for _ in range(self.settings.final_ticks):
@@ -308,62 +308,22 @@ class Playback:
         """Return what a hand is at, at a tick; its segments cover the demonstration."""
         return next(entry for entry in self._tracks[side] if entry.start <= tick < entry.stop)
 
-    def _approached(self, tick: int, side: str) -> Segment | None:
-        """Return the segment in which a hand goes to the object that it is about to take hold of at a tick."""
-        approaches = [
-            entry
-            for entry in self._tracks[side]
-            if entry.kind == "object" and entry.held is None and entry.start < tick
-        ]
-        recent = [entry for entry in approaches if tick - entry.stop <= TOGETHER_TICKS]
-        return recent[-1] if recent else None
-
-    def _settle(self, tick: int, sides: Sequence[str]) -> Iterator[np.ndarray]:
+    def _settle(self, tick: int) -> Iterator[np.ndarray]:
         """Wait until hands are beside their objects as they were in the demonstration, moving targets as it takes."""
-        wanted: dict[int, np.ndarray] = {}
-        for side in sides:
-            entry = self._approached(tick, side)
-            if entry is not None and entry.object is not None:
-                T_W_Od = self.demonstration.T_world_objects[tick, self._names.index(entry.object)]
-                T_W_O = self.world.pose(entry.object)
-                motion = retarget.scene_motion(T_W_Od, T_W_O, self._symmetry(entry.object, T_W_Od, T_W_O, tick))
-                hand = g1.SIDES.index(side)
-                wanted[hand] = (motion @ self.demonstration.T_world_hands[tick, hand])[:3, 3]
-        planned = self.last_targets.copy()
         self.activity = "settle"
-        for _ in range(self.grip.settle_ticks):
-            measured = self.world.hands()
-            errors = {hand: position - measured[hand, :3, 3] for hand, position in wanted.items()}
-            if all(float(norm(error)) < self.grip.settle_m for error in errors.values()):
-                return
-            targets = self.last_targets.copy()
-            for hand, error in errors.items():
-                moved = targets[hand, :3, 3] + self.grip.gain * error - planned[hand, :3, 3]
-                length = max(float(norm(moved)), 1e-9)
-                moved *= min(1.0, self.grip.max_correction_m / length)
-                targets[hand, :3, 3] = planned[hand, :3, 3] + moved
+        for targets in self._gripping.settle(tick, self.last_targets, self._motion):
             yield self._command(targets, tick - 1)
 
-    def _verify_grip(self, tick: int, sides: Sequence[str]) -> Iterator[np.ndarray]:
+    def _verify_grip(self, tick: int) -> Iterator[np.ndarray]:
         """Wait until closed grippers press on their objects; one that closes on nothing has missed its object."""
-        pairs = []
-        for side in sides:
-            entry = self._approached(tick, side)
-            if entry is not None and (side, entry.object) in self.task.contact_pairs:
-                pairs.append((side, str(entry.object)))
         self.activity = "grip"
-        for _ in range(self.grip.grip_ticks):
-            if all(self.world.contact_force(*pair) >= self.grip.grip_n for pair in pairs):
-                return
+        for _ in self._gripping.verify(tick):
             yield self._command(self._targets[tick], tick)
-        forces = {pair: self.world.contact_force(*pair) for pair in pairs}
-        (side, name), force = min(forces.items(), key=lambda item: item[1])
-        raise StageError(
-            "dropped",
-            f"the {side} gripper closed but pressed on the {name} with {force:.1f} N only (a grip is "
-            f"{self.grip.grip_n:g} N): it missed",
-            again=tick == min(self._closing),
-        )
+
+    def _motion(self, name: str, tick: int) -> np.ndarray:
+        """Return the motion (4, 4) of an object from where it was at a tick of the demonstration to where it is."""
+        T_W_Od, T_W_O = self.demonstration.T_world_objects[tick, self._names.index(name)], self.world.pose(name)
+        return retarget.scene_motion(T_W_Od, T_W_O, self._symmetry(name, T_W_Od, T_W_O, tick))
 
     def _symmetry(self, name: str, T_W_Od: np.ndarray, T_W_O: np.ndarray, tick: int) -> np.ndarray:
         if name not in self._symmetries:
@@ -450,10 +410,3 @@ class Playback:
             f"inverse kinematics brings the {g1.SIDES[hand]} palm no nearer to its target than "
             f"{self.error[hand]:.3f} m {when} (at most {limit_m:g} m)"
         )
-
-
-def _by_tick(found: Sequence[tuple[int, str]]) -> dict[int, list[str]]:
-    grouped: dict[int, list[str]] = {}
-    for tick, side in found:
-        grouped.setdefault(tick, []).append(side)
-    return grouped
