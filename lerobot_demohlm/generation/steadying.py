@@ -1,9 +1,9 @@
 """A demonstration whose hands stray before they take hold -> the same with hands that go straight there.
 
-A person's hand swings past its goal, comes back, and brushes against the thing that it is about to grip. Repeated
-somewhere else, where tables are lower and arms sag otherwise, it runs into them. What the hand did close to the thing
-before its gripper closed is replaced by the straight way to where it closed, in the time that it took. Hands that went
-straight there, as scripts do, keep their motion, bit for bit.
+A person's hand swings past its goal, comes back, and brushes against the thing that it is about to grip, or pushes it
+ahead. Repeated somewhere else, where tables are lower and arms sag otherwise, it runs into them. What the hand did
+close to the thing before its gripper closed is replaced by the straight way to where it closed, in the time that it
+took. Hands that went straight there, as scripts do, keep their motion, bit for bit.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 
 NEAR_M = 0.12  # from where a gripper closes: there a hand is to go straight
 STRAY_M = 0.0075  # that a hand on its way there may move away again, at most
+PUSHED_M = 0.005  # by which it may push the thing on its way, at most
 BRUSHED_M = 0.06  # that the hand may move the object until then; one that moves it further means to
 STILL_M = 0.005  # that a hand which holds something for the other one may move meanwhile
 COME_TICKS = 10  # in which it comes to rest
@@ -70,9 +71,12 @@ def _straight(demonstration: Demonstration, approach: Segment, column: int, *, c
     away = norm(T_O_E[:, :3, 3] - T_O_E[-1, :3, 3])
     far = np.flatnonzero(away > NEAR_M)
     near = int(far[-1]) if len(far) else 0  # the last tick of the approach outside
-    if len(away) - near <= SETTLE_TICKS or float((away - np.minimum.accumulate(away))[near:].max()) <= STRAY_M:
+    strays = float((away - np.minimum.accumulate(away))[near:].max()) > STRAY_M
+    pushed = norm(T_W_O[:, :3, 3] - T_W_O[0, :3, 3])
+    pushes = not carried and float(pushed.max()) > PUSHED_M
+    if len(away) - near <= SETTLE_TICKS or not (strays or pushes):
         return demonstration
-    if not carried and float(norm(T_W_O[-1, :3, 3] - T_W_O[0, :3, 3])) > BRUSHED_M:
+    if not carried and float(pushed[-1]) > BRUSHED_M:
         return demonstration
     # What the hand has brushed aside stands where it is taken all the time.
     moved = np.eye(4)

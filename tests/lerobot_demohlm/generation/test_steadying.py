@@ -12,7 +12,7 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.steadying import COME_TICKS, NEAR_M, steadied
+from lerobot_demohlm.generation.steadying import COME_TICKS, NEAR_M, PUSHED_M, steadied
 from lerobot_demohlm.teleop.perturbed import record_perturbed
 from lerobot_demohlm.teleop.trial import TrialSettings
 
@@ -84,6 +84,25 @@ def test_an_object_that_is_pushed_far_before_it_is_gripped_is_meant_to_be() -> N
     for pushed_m, kept in ((0.05, False), (0.10, True)):
         source = swung(packaged, close, pushed_m)
         assert (steadied(source, task, segments) is source) == kept
+
+
+@pytest.mark.parametrize("pushed_m", [0.004, 0.006])
+def test_an_object_that_a_hand_pushes_ahead_stands_where_it_is_gripped(pushed_m: float) -> None:
+    """The hand comes straight; repeated elsewhere, it would push the object as far again from wherever that stands."""
+    task = get_task("GraspCube")
+    packaged = demonstrations.load(task=task)
+    segments = segment(packaged, task)
+    close = next(entry.stop for entry in segments if entry.kind == "object")
+    objects = packaged.object_poses.copy()
+    objects[: close - 6, 0, 0] -= pushed_m
+    source = dataclasses.replace(packaged, object_poses=objects)
+    straight = steadied(source, task, segments)
+    if pushed_m <= PUSHED_M:
+        assert straight is source
+        return
+    np.testing.assert_allclose(
+        straight.object_poses[:close, 0, :2], np.tile(source.object_poses[close, 0, :2], (close, 1))
+    )
 
 
 def test_a_hand_keeps_still_while_the_other_one_takes_what_it_holds() -> None:
