@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gym_demohlm.perception.disturbance import varies
+from gym_demohlm.perception.error_model import fitted_path
 from gym_demohlm.perception.estimate import Perceiver
 from gym_demohlm.perception.exact import ExactPerceiver
 from gym_demohlm.perception.settings import PerceptionSettings
@@ -25,8 +26,8 @@ def make_perceiver(
         settings: Which, and what is wrong with it; see ``PerceptionSettings.read``.
         task: The task.
         num_worlds: N of the simulation.
-        variation: Of the worlds. Where episodes draw how they see, "exact" stands for "model", and the perceiver is a
-            ``DisturbedPerceiver``.
+        variation: Of the worlds. Where episodes draw how they see, "exact" stands for "model" if the package has errors
+            that were fitted for the task, and the perceiver is a ``DisturbedPerceiver``.
 
     Raises:
         UnknownNameError: There is no such source.
@@ -34,7 +35,7 @@ def make_perceiver(
     """
     settings = PerceptionSettings.read(settings)
     drawn = varies(variation)
-    if drawn and settings.source == "exact":
+    if drawn and settings.source == "exact" and fitted_path(task).exists():
         settings = replace(settings, source="model")
     perceiver = _source(settings, task, num_worlds)
     if not (settings.is_disturbed or drawn):

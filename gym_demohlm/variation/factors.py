@@ -211,7 +211,8 @@ _ALL = (
     ),
     Factor(
         group="perception", name="errors", unit="1", neutral=0.0, real=(0.5, 1.5), hard=(1.0, 3.0), bounds=(0.0, 10.0),
-        meaning="errors of poses over those that are fitted to the tracker; with 0 nothing is lost either",
+        meaning="errors of poses over those that are fitted to the tracker, where a task has a fit; with 0 nothing is "
+        "lost either",
         source="`demohlm fit-perception`; the spread is chosen",
     ),
     Factor(

@@ -12,10 +12,10 @@ Masks = Literal["oracle", "color", "server"]
 """Of ``gym_demohlm.perception.settings.MASKS``."""
 Backend = Literal["tracker"]
 """Of ``gym_demohlm.perception.pose_server.BACKENDS``."""
-Table = Literal["main", "architectures", "regions"]
+Table = Literal["main", "architectures", "regions", "worlds", "perception", "robustness"]
 """Of ``experiments.plan.TABLES``."""
-Variant = Literal["plain", "noise", "starts", "stances", "noise_stances"]
-"""Of ``experiments.plan.VARIANTS``."""
+Variant = Literal["plain", "noise", "starts", "stances", "noise_stances", "real", "model"]
+"""Of ``experiments.variants.VARIANTS``."""
 Protocol = Literal["whole", "arms", "velocity"]
 """Of ``wbc.evaluation.contest.PROTOCOLS``."""
 Peer = Literal["holosoma", "holosoma-ppo"]

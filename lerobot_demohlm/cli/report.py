@@ -49,7 +49,7 @@ def run(options: Options) -> None:
 
 
 def _experiments_page(options: Options, results: Path) -> str:
-    from lerobot_demohlm.experiments.plan import Layout
+    from lerobot_demohlm.experiments.layout import Layout
     from lerobot_demohlm.reports.experiments_page import render_page, write_figures
 
     if not results.is_dir():

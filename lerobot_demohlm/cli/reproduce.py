@@ -20,12 +20,16 @@ class Options:
     """Options of ``demohlm reproduce``.
 
     Attributes:
-        table: Which of the paper's tables.
+        table: Which table: the paper's (main, architectures, regions), or of worlds that vary, of eyes that err, or of
+            policies against each group of a variation.
         tasks: Names of tasks.
         sizes: Numbers of training episodes, most wanted first.
         seeds: Seeds of the trainings.
         policies: Policies to train.
         variants: Kinds of training data; more than one is an ablation.
+        regions: Initial regions of data, rollouts and attempts.
+        variations: How the worlds of rollouts or attempts differ, as none, real or hard@0.5:objects.
+        perceptions: How rollouts see objects, as exact, rgbd or rgbd,masks=color.
         preset: Hyperparameters.
         num_rollouts: Rollouts of each policy.
         num_attempts: Attempts in each region.
@@ -43,7 +47,10 @@ class Options:
     sizes: Annotated[tuple[int, ...] | None, default("the table's")] = None
     seeds: Annotated[tuple[int, ...] | None, default("the table's")] = None
     policies: Annotated[tuple[Policy, ...] | None, default("the table's")] = None
-    variants: Annotated[tuple[Variant, ...] | None, default("noise")] = None
+    variants: Annotated[tuple[Variant, ...] | None, default("the table's")] = None
+    regions: Annotated[tuple[str, ...] | None, default("the table's")] = None
+    variations: Annotated[tuple[str, ...] | None, default("the table's")] = None
+    perceptions: Annotated[tuple[str, ...] | None, default("the table's")] = None
     preset: Preset = "cpu"
     num_rollouts: int = 250
     num_attempts: int = 500
@@ -65,7 +72,8 @@ def run(options: Options) -> None:
         DemoHLMError: Something went wrong in a cell; the others were run.
     """
     from lerobot_demohlm.experiments.cells import Effort, run_cell
-    from lerobot_demohlm.experiments.plan import Layout, plan
+    from lerobot_demohlm.experiments.layout import Layout
+    from lerobot_demohlm.experiments.plan import plan
     from lerobot_demohlm.experiments.reproduce import describe, missing, reproduce
 
     for name in ("num_rollouts", "num_attempts", "num_workers", "budget_hours"):
@@ -79,6 +87,9 @@ def run(options: Options) -> None:
         seeds=options.seeds,
         policies=options.policies,
         variants=options.variants,
+        regions=options.regions,
+        variations=options.variations,
+        perceptions=options.perceptions,
         preset=options.preset,
         steps=options.steps,
     )

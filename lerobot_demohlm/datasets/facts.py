@@ -167,9 +167,10 @@ def perception_fit(task: Task, facts: Mapping[str, Any]) -> str:
     """Return the hash of the errors' model by which a run with such facts sees objects now; empty where it has none."""
     knobs = DataVariation.read(facts)
     seen, drawn = PerceptionSettings.read(knobs.perception), varies(get_variation(knobs.variation))
-    if seen.source != "model" and not (drawn and seen.source == "exact"):
+    path = Path(seen.fit) if seen.fit else fitted_path(task)
+    if seen.source != "model" and not (drawn and seen.source == "exact" and path.exists()):
         return ""
-    return read_model(Path(seen.fit) if seen.fit else fitted_path(task), task).hash
+    return read_model(path, task).hash
 
 
 def require_new_root(root: Path) -> None:

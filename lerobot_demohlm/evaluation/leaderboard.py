@@ -6,7 +6,6 @@ what came of it, and ends with the SHA-256 of all that, so that a number that wa
 
 import hashlib
 import json
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,15 +13,14 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from gym_demohlm.task import SCORING_SEEDS
 from lerobot_demohlm.evaluation.evaluate import evaluate, summarize
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting
+from lerobot_demohlm.evaluation.scoring import SEEDS_A_CELL, first_seed
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.results import commit
 
 RESULT, CARD = "result.json", "README.md"
-_SEEDS_A_CELL = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,15 +43,6 @@ class Protocol:
 PROTOCOL = Protocol()
 
 
-def first_seed(task: str, region: str) -> int:
-    """Return the first seed of a task's scoring starts in a region: other ones than those of any task or region else.
-
-    The variations of a region share them, so that they differ by their worlds alone.
-    """
-    cells = (SCORING_SEEDS.stop - SCORING_SEEDS.start) // _SEEDS_A_CELL
-    return SCORING_SEEDS.start + _SEEDS_A_CELL * (zlib.crc32(f"{task} {region}".encode()) % cells)
-
-
 def run(
     loaded: LoadedPolicy, task: str, output: Path, *, num_workers: int = 1, trial: int | None = None
 ) -> dict[str, Any]:
@@ -73,8 +62,8 @@ def run(
         DatasetError: A result is there already, the rollouts are of another policy, or ``trial`` is out of range.
     """
     task, count = get_task(task).name, PROTOCOL.episodes if trial is None else trial
-    if not 1 <= count <= _SEEDS_A_CELL:
-        raise DatasetError(f"trial={trial}", f"1 to {_SEEDS_A_CELL} rollouts a cell", "correct --trial")
+    if not 1 <= count <= SEEDS_A_CELL:
+        raise DatasetError(f"trial={trial}", f"1 to {SEEDS_A_CELL} rollouts a cell", "correct --trial")
     if (output / RESULT).exists():
         raise DatasetError(f"{output / RESULT}, which exists", "a new directory", "choose another --output")
     output.mkdir(parents=True, exist_ok=True)

@@ -14,11 +14,14 @@ import torch
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
-from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
+from lerobot_demohlm.evaluation.evaluate import evaluate
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+from lerobot_demohlm.evaluation.scoring import SEEDS_A_CELL
+from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import PLAIN, VARIANTS, Cell, Layout, RegionCell, stamp
+from lerobot_demohlm.experiments.plan import Cell, RegionCell
+from lerobot_demohlm.experiments.variants import PLAIN, VARIANTS
 from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.runner import generate
 from lerobot_demohlm.policies.presets import get_preset
@@ -44,6 +47,13 @@ class Effort:
     device: str = "cpu"
     deadline: float = math.inf
 
+    def __post_init__(self) -> None:
+        """Check that the starts of a cell are its own."""
+        if self.num_rollouts > SEEDS_A_CELL:
+            raise DatasetError(
+                f"num_rollouts={self.num_rollouts}", f"at most {SEEDS_A_CELL}, or tasks share starts", "ask for fewer"
+            )
+
     @property
     def is_over(self) -> bool:
         """Tell whether the time is up."""
@@ -65,7 +75,7 @@ def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> PolicyR
     if isinstance(cell, RegionCell):
         with _alone(layout.generation(cell, effort.num_attempts)):
             return _run_region(cell, layout, effort)
-    with _alone(layout.training(cell)):
+    with _alone(layout.rollouts(cell)):
         return _run_policy(cell, layout, effort)
 
 
@@ -83,55 +93,43 @@ def _alone(directory: Path) -> Iterator[None]:
 
 
 def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationResult | None:
-    """Return the result of the first attempts in a region: of a dataset to train on, or new ones."""
+    """Return the result of the first attempts in a region."""
     count = effort.num_attempts
     root = layout.generation(cell, count)
-    made = [*([root] if root.exists() else []), *layout.datasets(cell.task, cell.region)]
-    records = next((found for path in made if len(found := read_attempts(path)) >= count), None)
-    if records is None:
+    records = read_attempts(root) if root.exists() else []
+    if len(records) < count:
         if effort.is_over:
             return None
-        generate(replace(_request(cell, root), num_attempts=count, variation=VARIANTS[PLAIN]))
+        worlds = replace(VARIANTS[PLAIN], variation=cell.variation)
+        generate(replace(_request(cell, root), num_attempts=count, variation=worlds))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
     return GenerationResult(
         **asdict(cell),
-        seed=DATA_SEED,
         **count_attempts(records[:count]),
         episode_s=round(sum(lengths) / len(lengths), 2) if lengths else None,
-        stamp=stamp(cell.task),
+        stamp=cell.stamp,
     )
 
 
 def _request(cell: Cell | RegionCell, root: Path) -> GenerationRequest:
     """Return the request for a cell's dataset, without its size; a larger one begins with the same attempts."""
-    return GenerationRequest(
-        task=cell.task,
-        region=cell.region,
-        seed=DATA_SEED,
-        root=root,
-        show_progress=False,
-    )
+    seed = cell.seed if isinstance(cell, RegionCell) else DATA_SEED
+    return GenerationRequest(task=cell.task, region=cell.region, seed=seed, root=root, show_progress=False)
 
 
 def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | None:
-    dataset = layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant)
-    if not dataset.exists():
-        if effort.is_over:
-            return None
-        request = _request(cell, dataset)
-        generate(replace(request, num_episodes=cell.num_train_episodes, variation=VARIANTS[cell.variant]))
     training = layout.training(cell)
-    if not _times_file(training).exists():
-        if effort.is_over:
-            return None
-        _train(cell, dataset, training, effort)
+    if not layout.times(cell).exists():
+        with _alone(training):
+            if not _trained(cell, layout, effort):
+                return None
     began, output = time.monotonic(), layout.rollouts(cell)
     before = output.read_bytes().count(b"\n") if output.exists() else 0  # the last line may be torn
     rollouts = evaluate(
         load_policy(checkpoint(training), cell.task, effort.device),
-        Setting(task=cell.task, region=cell.region),
-        range(FIRST_SEED, FIRST_SEED + effort.num_rollouts),
+        Setting(task=cell.task, region=cell.region, variation=cell.variation, perception=cell.perception),
+        range(cell.first_seed, cell.first_seed + effort.num_rollouts),
         output,
         deadline=effort.deadline,
     )
@@ -141,19 +139,19 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | No
     return PolicyResult(
         **asdict(cell),
         recipe=cell.recipe,
-        stamp=stamp(cell.task),
+        stamp=cell.stamp,
         policy_type=rollouts[0].policy,
         policy_hash=rollouts[0].policy_hash,
-        first_seed=FIRST_SEED,
+        first_seed=cell.first_seed,
         episodes=len(rollouts),
         successes=sum(rollout.success_held for rollout in rollouts),
         successes_end=sum(rollout.success_end for rollout in rollouts),
         successes_ever=sum(rollout.success_ever for rollout in rollouts),
         successes_strict=_count_strict(rollouts),
         outcomes=dict(Counter(rollout.outcome for rollout in rollouts)),
-        data_success_rate=read_facts(dataset)["success_rate"],
+        data_success_rate=read_facts(_dataset(cell, layout))["success_rate"],
         rollouts_per_hour=round(3600 * made / elapsed) if made > 0 else None,
-        **json.loads(_times_file(training).read_text()),
+        **json.loads(layout.times(cell).read_text()),
     )
 
 
@@ -163,14 +161,27 @@ def _count_strict(rollouts: Sequence[Rollout]) -> int | None:
     return None if None in found else sum(map(bool, found))
 
 
-def _times_file(training: Path) -> Path:
-    """Return the file that a training which came to its end has beside its checkpoints."""
-    return training / "times.json"
+def _dataset(cell: Cell, layout: Layout) -> Path:
+    return layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant)
 
 
-def _train(cell: Cell, dataset: Path, training: Path, effort: Effort) -> None:
+def _trained(cell: Cell, layout: Layout, effort: Effort) -> bool:
+    """Train a cell's policy, on data that is made where it is missing; return whether there was time to begin it."""
+    dataset = _dataset(cell, layout)
+    if not dataset.exists():
+        if effort.is_over:
+            return False
+        request = _request(cell, dataset)
+        generate(replace(request, num_episodes=cell.num_train_episodes, variation=VARIANTS[cell.variant]))
+    if effort.is_over:
+        return False
+    _train(cell, dataset, layout, effort)
+    return True
+
+
+def _train(cell: Cell, dataset: Path, layout: Layout, effort: Effort) -> None:
     """Train from the start, also where a training was killed, and note how long it took."""
-    preset = get_preset(cell.policy, cell.preset)
+    preset, training, end = get_preset(cell.policy, cell.preset), layout.training(cell), layout.times(cell)
     shutil.rmtree(training, ignore_errors=True)
     began = time.monotonic()
     path = train(
@@ -188,6 +199,6 @@ def _train(cell: Cell, dataset: Path, training: Path, effort: Effort) -> None:
         raise DatasetError(f"no checkpoint at {path}", "what LeRobot's training writes", "look at its messages")
     samples = cell.steps * preset.batch_size
     times = {"train_s": round(elapsed, 1), "train_samples_per_s": round(samples / elapsed)}
-    temporary = _times_file(training).with_suffix(".tmp")
+    temporary = end.with_suffix(".tmp")
     temporary.write_text(json.dumps(times) + "\n")
-    temporary.rename(_times_file(training))
+    temporary.rename(end)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm import jsonl
+from lerobot_demohlm.experiments.variants import VARIANTS
 from lerobot_demohlm.reproducibility.results import append_result
 
 
@@ -38,7 +39,9 @@ class PolicyResult(Result):
         train_seed: Seed of its training.
         steps: Training steps.
         region: Initial region of data and rollouts.
-        variant: How its data was generated, a key of ``plan.VARIANTS``.
+        variant: How its data was generated, a key of ``variants.VARIANTS``.
+        variation: How the worlds of its rollouts differed.
+        perception: How its rollouts saw objects.
         recipe: Digest of the preset's hyperparameters and the steps.
         stamp: Digest of what generation did with the task.
         policy_type: Type of the policy as LeRobot registers it.
@@ -64,6 +67,8 @@ class PolicyResult(Result):
     steps: int
     region: str
     variant: str
+    variation: str = "none"
+    perception: str = "exact"
     recipe: str
     stamp: str
     policy_type: str = ""
@@ -79,6 +84,16 @@ class PolicyResult(Result):
     rollouts_per_hour: int | None = None
     train_s: float
     train_samples_per_s: int
+
+    @property
+    def variations(self) -> tuple[str, ...]:
+        """How worlds differed: those of its training data, and those of its rollouts."""
+        return VARIANTS[self.variant].variation, self.variation
+
+    @property
+    def is_plain(self) -> bool:
+        """Tell whether its rollouts are what the paper's tables count: the plain world, seen exactly."""
+        return (self.variation, self.perception) == ("none", "exact")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,10 +144,20 @@ class GenerationResult(Result):
         return None if self.strict_successes is None else self.strict_successes / self.attempts
 
     @property
+    def variations(self) -> tuple[str, ...]:
+        """How worlds differed."""
+        return (self.variation,)
+
+    @property
+    def is_undisturbed(self) -> bool:
+        """Tell whether its attempts are what tables count: nothing disturbed, one try, objects seen as they are."""
+        knobs = (self.retries, self.command_noise, self.start_spread, self.stance_spread, self.perception)
+        return knobs == (0, 0.0, 1.0, 0.0, "exact")
+
+    @property
     def is_plain(self) -> bool:
-        """Tell whether its attempts are what tables count: nothing disturbed, one try."""
-        disturbed = (self.retries, self.command_noise, self.start_spread, self.stance_spread)
-        return disturbed == (0, 0.0, 1.0, 0.0) and (self.variation, self.perception) == ("none", "exact")
+        """Tell whether they are, in the plain world."""
+        return self.is_undisturbed and self.variation == "none"
 
 
 @dataclass(frozen=True, kw_only=True)

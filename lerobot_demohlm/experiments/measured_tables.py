@@ -5,9 +5,9 @@ from typing import Any
 
 from lerobot_demohlm.experiments.controller_tables import followed, pairs, robustness
 from lerobot_demohlm.experiments.lines import Measurement, Result
-from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
 from lerobot_demohlm.experiments.tables import EARLIER, markdown
+from lerobot_demohlm.experiments.variants import stamp
 
 
 def newest[R: Result](lines: Iterable[R], *keys: str) -> list[R]:

@@ -1,37 +1,72 @@
-"""A table of the paper, tasks, sizes and seeds -> the cells to run, every task's first before any task's second."""
+"""A table, of the paper or of harder worlds, -> the cells to run, every task's first before any task's second."""
 
-import functools
 import hashlib
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
+from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import all_tasks, get_task
-from gym_demohlm.task import DEFAULT_REGION
-from lerobot_demohlm.checks import portability
-from lerobot_demohlm.datasets import variation
-from lerobot_demohlm.datasets.variation import DataVariation
+from gym_demohlm.task import DEFAULT_REGION, SCORING_SEEDS, WIDEST
+from gym_demohlm.variation import get_variation
+from gym_demohlm.variation.factors import GROUPS
+from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, PLAIN, VARIANTS, stamp
 from lerobot_demohlm.policies.presets import POLICIES, get_preset
 
 REGIONS = ("R1", "R2", "R3")
-FIRST_TASKS = {"architectures": ("GraspCube", "Handover", "LiftBox"), "regions": ("GraspCube", "Handover")}
-"""Tasks of a table where none are named; all of them where it is not listed."""
-_SIZES = {"main": (1000, 100), "architectures": (1000,)}
-_SEEDS = {"main": (0, 1), "architectures": (0,)}
-TABLES = ("main", "architectures", "regions")
-PLAIN = "plain"  # what lines without a variant are of, and what the table of regions counts
-DEFAULT_VARIANT = "noise"  # what policies are trained on: the best in the ablation
-VARIANTS: Mapping[str, DataVariation] = {
-    PLAIN: variation.PLAIN,
-    "noise": DataVariation(command_noise=1.0),
-    "starts": DataVariation(command_noise=0.0, start_spread=1.3),
-    "stances": DataVariation(command_noise=0.0, stance_spread=1.0),
-    "noise_stances": DataVariation(command_noise=1.0, stance_spread=1.0),
+"""The paper's."""
+GRADED = "hard"
+STRENGTHS = (0.5, 1.0, 1.5)
+PERCEPTIONS = ("exact", "rgbd", "model", "rgbd,masks=color", "apriltag")
+
+
+def graded(group: str | None, strength: float) -> str:
+    """Return the name of the variation of one group at a strength; without a group, of the plain world."""
+    return "none" if group is None else f"{GRADED}@{strength:g}:{group}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What a table has a cell for each combination of.
+
+    Attributes:
+        tasks: Names; none for all in the package.
+        sizes: Numbers of training episodes, the first wanted first.
+        seeds: Of the trainings.
+        policies: Which are trained.
+        variants: How their data is generated, keys of ``VARIANTS``.
+        regions: Of data, rollouts and attempts.
+        variations: How the worlds of rollouts or attempts differ.
+        perceptions: How rollouts see objects.
+    """
+
+    tasks: Sequence[str] = ()
+    sizes: Sequence[int] = (1000,)
+    seeds: Sequence[int] = (0,)
+    policies: Sequence[str] = POLICIES
+    variants: Sequence[str] = (DEFAULT_VARIANT,)
+    regions: Sequence[str] = (DEFAULT_REGION,)
+    variations: Sequence[str] = ("none",)
+    perceptions: Sequence[str] = ("exact",)
+
+
+_GRIDS = {
+    "main": Grid(sizes=(1000, 100), seeds=(0, 1)),
+    "architectures": Grid(tasks=("GraspCube", "Handover", "LiftBox")),
+    "regions": Grid(regions=(*reversed(REGIONS), WIDEST), variations=("none", "real")),
+    "worlds": Grid(seeds=(0, 1), variants=("real", DEFAULT_VARIANT), regions=("R3", WIDEST), variations=("real",)),
+    "perception": Grid(policies=("mlp", "act"), variants=(DEFAULT_VARIANT, "model"), perceptions=PERCEPTIONS),
+    "robustness": Grid(
+        policies=("act",),
+        variants=("real",),
+        variations=("none", *(graded(group, strength) for group in GROUPS for strength in STRENGTHS)),
+    ),
 }
-"""Ways to generate training data, each said in full; rollouts are the same for all of them."""
+TABLES = tuple(_GRIDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +82,8 @@ class Cell:
         steps: Training steps.
         region: Initial region of data and rollouts.
         variant: How its data is generated, a key of ``VARIANTS``.
+        variation: How the worlds of its rollouts differ.
+        perception: How its rollouts see objects.
     """
 
     task: str
@@ -57,6 +94,8 @@ class Cell:
     steps: int
     region: str = DEFAULT_REGION
     variant: str = DEFAULT_VARIANT
+    variation: str = "none"
+    perception: str = "exact"
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
@@ -64,6 +103,8 @@ class Cell:
         get_preset(self.policy, self.preset)
         if self.variant not in VARIANTS:
             raise UnknownNameError("variant", self.variant, VARIANTS)
+        get_variation(self.variation)
+        object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
         if self.num_train_episodes < 1 or self.train_seed < 0 or self.steps < 1:
             raise PolicyError(
                 f"num_train_episodes={self.num_train_episodes}, train_seed={self.train_seed}, steps={self.steps}",
@@ -72,10 +113,30 @@ class Cell:
             )
 
     @property
-    def name(self) -> str:
-        """Return what its directory is called."""
+    def trained(self) -> str:
+        """Return what the directory of its training is called; cells that differ in their rollouts only share it."""
         parts = (self.policy, self.preset, self.num_train_episodes, self.region.lower(), f"seed{self.train_seed}")
-        return "_".join(map(str, (get_task(self.task).slug, *parts, *_suffix(self.variant))))
+        return "_".join(map(str, (get_task(self.task).slug, *parts, *suffix(self.variant))))
+
+    @property
+    def name(self) -> str:
+        """Return what its rollouts are called."""
+        return "_".join((self.trained, *suffix(self.variation, "none"), *suffix(self.perception, "exact")))
+
+    @property
+    def first_seed(self) -> int:
+        """Return the seed of its first rollout; each further one has the next."""
+        return first_seed(self.task, self.region)
+
+    @property
+    def data_stamp(self) -> str:
+        """Return letters that change with what generation makes of its training data."""
+        return stamp(self.task, VARIANTS[self.variant].variation)
+
+    @property
+    def stamp(self) -> str:
+        """Return letters that change with what generation makes of its training data, and with its worlds."""
+        return stamp(self.task, VARIANTS[self.variant].variation, self.variation)
 
     @property
     def recipe(self) -> str:
@@ -84,7 +145,7 @@ class Cell:
 
     def is_of(self, result: PolicyResult) -> bool:
         """Tell whether a result is this cell's, as the cell would be made now."""
-        mine = {**asdict(self), "recipe": self.recipe, "stamp": stamp(self.task)}
+        mine = {**asdict(self), "recipe": self.recipe, "stamp": self.stamp, "first_seed": self.first_seed}
         return {key: getattr(result, key) for key in mine} == mine
 
 
@@ -95,69 +156,67 @@ class RegionCell:
     Attributes:
         task: Name of the task.
         region: Initial region.
+        variation: How worlds differ.
+        seed: Of the attempts, by default one that is kept for scoring: they start elsewhere in each task and region.
     """
 
     task: str
     region: str
+    variation: str = "none"
+    seed: int = SCORING_SEEDS.start
+
+    def __post_init__(self) -> None:
+        """Check names."""
+        get_task(self.task).region(self.region)
+        get_variation(self.variation)
+
+    @property
+    def stamp(self) -> str:
+        """Return letters that change with what generation does in its worlds."""
+        return stamp(self.task, self.variation)
 
     def is_of(self, result: GenerationResult) -> bool:
         """Tell whether a result is this cell's, as the cell would be made now."""
-        mine = (self.task, self.region, stamp(self.task))
-        return result.is_plain and (result.task, result.region, result.stamp) == mine
+        mine = {**asdict(self), "stamp": self.stamp}
+        return result.is_undisturbed and {key: getattr(result, key) for key in mine} == mine
 
 
-def _suffix(variant: str) -> tuple[str, ...]:
-    """Return what the names of files say of a variant."""
-    return () if variant == PLAIN else (variant,)
-
-
-def _stem(task: str, region: str, variant: str = PLAIN) -> str:
-    """Return what the names of datasets begin with."""
-    return "_".join((get_task(task).slug, region.lower(), *_suffix(variant), stamp(task)))
+def suffix(name: str, plain: str = PLAIN) -> tuple[str, ...]:
+    """Return what the names of files say of a variant, a variation or a perception; nothing of the plain one."""
+    return () if name == plain else (re.sub("[^a-z0-9.]+", "-", name),)
 
 
 def _digest(*parts: object) -> str:
     return hashlib.sha256("".join(map(str, parts)).encode()).hexdigest()[:8]
 
 
-@functools.cache
-def stamp(task: str) -> str:
-    """Return eight letters that change with what generation does with a task, wherever its code stands."""
-    return portability.stamp(get_task(task))
-
-
 def plan(
-    table: str,
-    *,
-    preset: str = "cpu",
-    tasks: Sequence[str] | None = None,
-    sizes: Sequence[int] | None = None,
-    seeds: Sequence[int] | None = None,
-    policies: Sequence[str] | None = None,
-    variants: Sequence[str] | None = None,
-    steps: int | None = None,
+    table: str, *, preset: str = "cpu", steps: int | None = None, **chosen: Sequence[int] | Sequence[str] | None
 ) -> list[Cell] | list[RegionCell]:
     """Return the cells of a table, each once: a round goes through all tasks before the next begins.
 
     Args:
-        table: "main", "architectures" or "regions".
+        table: One of ``TABLES``.
         preset: "cpu" or "paper".
-        tasks: Names; the table's by default.
-        sizes: Numbers of training episodes, the first wanted first; the table's by default.
-        seeds: Of the trainings; the table's by default.
-        policies: The table's by default: main trains the MLP everywhere, and ACT once at the largest size.
-        variants: Of the training data; more than one, for an ablation, are run in turn.
         steps: Training steps; each preset's by default.
+        chosen: Fields of ``Grid`` in place of the table's; None for the table's. By default the main table trains the
+            MLP everywhere, and ACT once at the largest size.
 
     Raises:
-        UnknownNameError: No such table, task, policy, preset or variant.
+        UnknownNameError: No such table, task, region, policy, preset, variant, variation or perception.
     """
     if table not in TABLES:
         raise UnknownNameError("table", table, TABLES)
-    names = list(dict.fromkeys(get_task(name).name for name in (tasks or FIRST_TASKS.get(table) or all_tasks())))
+    grid = replace(_GRIDS[table], **{name: values for name, values in chosen.items() if values is not None})
+    names = list(dict.fromkeys(get_task(name).name for name in grid.tasks or all_tasks()))
     if table == "regions":
-        return [RegionCell(task=task, region=region) for region in reversed(REGIONS) for task in names]
-    rounds = _rounds(table, sizes or _SIZES[table], _SEEDS[table] if seeds is None else seeds, policies)
+        return [
+            RegionCell(task=task, region=region, variation=variation)
+            for variation in grid.variations
+            for region in grid.regions
+            for task in names
+        ]
+    mixed = table == "main" and chosen.get("policies") is None
     cells = [
         Cell(
             task=task,
@@ -166,66 +225,25 @@ def plan(
             num_train_episodes=size,
             train_seed=seed,
             steps=get_preset(policy, preset).steps if steps is None else steps,
+            region=region,
             variant=variant,
+            variation=variation,
+            perception=perception,
         )
-        for policy, size, seed in rounds
-        for variant in variants or (DEFAULT_VARIANT,)
+        for policy, size, seed in (_main_rounds(grid) if mixed else _rounds(grid))
+        for region, variant in itertools.product(grid.regions, grid.variants)
+        for variation, perception in itertools.product(grid.variations, grid.perceptions)
         for task in names
     ]
     return list(dict.fromkeys(cells))
 
 
-def _rounds(
-    table: str, sizes: Sequence[int], seeds: Sequence[int], policies: Sequence[str] | None
-) -> Iterable[tuple[str, int, int]]:
-    """Yield (policy, size, seed), the most wanted first, each once."""
-    if table == "main" and policies is None:
-        first = [("mlp", size, seeds[0]) for size in sizes] + [("act", max(sizes), seeds[0])]
-        return first + [("mlp", size, seed) for seed in seeds[1:] for size in sizes]
-    return [(policy, size, seed) for seed, size, policy in itertools.product(seeds, sizes, policies or POLICIES)]
+def _rounds(grid: Grid) -> Iterable[tuple[str, int, int]]:
+    """Yield (policy, size, seed), the most wanted first."""
+    return [(policy, size, seed) for seed, size, policy in itertools.product(grid.seeds, grid.sizes, grid.policies)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Layout:
-    """Where a run of experiments keeps what.
-
-    Attributes:
-        root: Directory of everything large: datasets, trainings, rollouts.
-        results: Directory of the lines that are kept.
-    """
-
-    root: Path
-    results: Path
-
-    @property
-    def policies_file(self) -> Path:
-        """Return where the score of each cell goes."""
-        return self.results / "experiments.jsonl"
-
-    @property
-    def generation_file(self) -> Path:
-        """Return where the success of generation goes."""
-        return self.results / "generation.jsonl"
-
-    def dataset(self, task: str, region: str, size: int, variant: str = PLAIN) -> Path:
-        """Return the smallest dataset there is with so many episodes, or where to make one."""
-        held = self.datasets(task, region, variant)
-        sizes = {count: path for path, count in held.items() if count >= size}
-        return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant)}_{size}"
-
-    def datasets(self, task: str, region: str, variant: str = PLAIN) -> dict[Path, int]:
-        """Return the datasets that there are, and how many episodes each has."""
-        found = (self.root / "data").glob(f"{_stem(task, region, variant)}_*[0-9]")
-        return {path: int(path.name.rpartition("_")[2]) for path in sorted(found)}
-
-    def generation(self, cell: RegionCell, num_attempts: int) -> Path:
-        """Return where the attempts of a region are made."""
-        return self.root / "regions" / f"{_stem(cell.task, cell.region)}_{num_attempts}"
-
-    def training(self, cell: Cell) -> Path:
-        """Return where a cell is trained."""
-        return self.root / "policies" / f"{cell.name}_{stamp(cell.task)}_{cell.recipe}"
-
-    def rollouts(self, cell: Cell) -> Path:
-        """Return where a cell's rollouts are, one line each."""
-        return self.root / "rollouts" / f"{cell.name}_{stamp(cell.task)}_{cell.recipe}.jsonl"
+def _main_rounds(grid: Grid) -> Iterable[tuple[str, int, int]]:
+    """Yield the same for the main table: ACT once only, which takes as long as all the others."""
+    first = [("mlp", size, grid.seeds[0]) for size in grid.sizes] + [("act", max(grid.sizes), grid.seeds[0])]
+    return first + [("mlp", size, seed) for seed in grid.seeds[1:] for size in grid.sizes]

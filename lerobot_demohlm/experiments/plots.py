@@ -16,8 +16,8 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS
-from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, latest, mean_rate, rate
+from lerobot_demohlm.experiments.plan import REGIONS
+from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, mean_rate, of_the_paper, rate
 from lerobot_demohlm.policies.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
@@ -112,8 +112,7 @@ def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) 
 
 def _chosen(lines: Sequence[PolicyResult], preset: str) -> list[PolicyResult]:
     """Return the results that the paper's figures are drawn from."""
-    found = latest(lines, DEFAULT_VARIANT)
-    return [line for line in found if (line.region, line.preset) == (DEFAULT_REGION, preset)]
+    return [line for line in of_the_paper(lines) if (line.region, line.preset) == (DEFAULT_REGION, preset)]
 
 
 def size_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | None:
@@ -182,13 +181,13 @@ def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
     panels = []
     for task, found in by_region(lines).items():
         ours, theirs = [], []
-        for (where, region), line in zip(ticks, found, strict=True):
-            successes, attempts = line.successes, line.attempts
+        for where, region in ticks:
+            successes, attempts = found[region].successes, found[region].attempts
             ours.append((where, successes / attempts, *wilson(successes, attempts)))
             if (task, region) in paper.GENERATION:
                 theirs.append((where, *[paper.GENERATION[task, region] / 100] * 3))
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
-        panels.append(Panel(title=task + age(found[0]), ticks=ticks, curves=curves))
+        panels.append(Panel(title=task + age(found[REGIONS[0]]), ticks=ticks, curves=curves))
     return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else None
 
 

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.experiments.lines import Measurement
-from lerobot_demohlm.experiments.plan import stamp
 from lerobot_demohlm.experiments.tables import markdown
+from lerobot_demohlm.experiments.variants import stamp
 
 AGED = " *"  # behind what was measured before the task, the variation or the generator became what it is now
 

@@ -17,8 +17,9 @@ from functools import partial
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.experiments import lines
+from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import Cell, Layout, RegionCell
+from lerobot_demohlm.experiments.plan import Cell, RegionCell
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 Result = PolicyResult | GenerationResult
@@ -70,7 +71,7 @@ def reproduce(
             for cell in list(waiting):
                 if len(working) >= num_workers or time.monotonic() >= deadline:
                     break
-                if not any(_makes_data_of(other, cell, layout) for other in working.values()):
+                if not any(_makes_what_it_needs(other, cell, layout) for other in working.values()):
                     waiting.remove(cell)
                     if not wanted([cell]):
                         continue  # another process has run it since
@@ -107,10 +108,12 @@ def _start_worker(module: str) -> None:
     importlib.import_module(module)
 
 
-def _makes_data_of(other: Cell | RegionCell, cell: Cell | RegionCell, layout: Layout) -> bool:
-    """Tell whether another cell may be making the data that a cell needs."""
+def _makes_what_it_needs(other: Cell | RegionCell, cell: Cell | RegionCell, layout: Layout) -> bool:
+    """Tell whether another cell may be making the data or the policy that a cell needs."""
     if not (isinstance(other, Cell) and isinstance(cell, Cell)):
         return False
+    if layout.training(other) == layout.training(cell):
+        return not layout.times(cell).exists()
     if (other.task, other.region, other.variant) != (cell.task, cell.region, cell.variant):
         return False
     return not layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant).exists()
@@ -118,4 +121,6 @@ def _makes_data_of(other: Cell | RegionCell, cell: Cell | RegionCell, layout: La
 
 def describe(cell: Cell | RegionCell) -> str:
     """Return what a cell is called in messages."""
-    return cell.name if isinstance(cell, Cell) else f"{cell.task} in {cell.region}"
+    if isinstance(cell, Cell):
+        return cell.name
+    return f"{cell.task} in {cell.region}" + (f" under {cell.variation}" if cell.variation != "none" else "")

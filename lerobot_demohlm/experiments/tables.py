@@ -1,16 +1,17 @@
-"""Lines of results -> the paper's three tables with ours beside them, and the ablation of data, as Markdown."""
+"""Lines of results -> the paper's three tables with ours beside them, harder worlds and ablations, as Markdown."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from decimal import ROUND_HALF_UP, Decimal
 from typing import Any, Protocol
 
 import numpy as np
 
-from gym_demohlm.task import DEFAULT_REGION
+from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, REGIONS, VARIANTS, stamp
+from lerobot_demohlm.experiments.plan import PERCEPTIONS, REGIONS
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, VARIANTS, stamp
 from lerobot_demohlm.policies.presets import POLICIES
 
 RESAMPLES = 10_000
@@ -32,8 +33,13 @@ class Stamped(Protocol):
         ...
 
     @property
+    def variations(self) -> tuple[str, ...]:
+        """How worlds differed."""
+        ...
+
+    @property
     def stamp(self) -> str | None:
-        """Digest of what generation did with the task; None where it was not written down."""
+        """Digest of what generation did with the task in them; None where it was not written down."""
         ...
 
 
@@ -73,23 +79,24 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
     return mean, min(mean, low), max(mean, high)
 
 
-def latest(lines: Iterable[PolicyResult], variant: str | None = None) -> list[PolicyResult]:
-    """Keep the last line of each cell, of those with the controller and demonstration of their task's last line.
-
-    Args:
-        lines: Of ``experiments.jsonl``.
-        variant: Keep lines of this one only.
-    """
+def latest(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
+    """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds."""
     lines = list(lines)
-    stamps = {line.task: line.stamp for line in lines}
+    stamps = {(line.task, line.variations): line.stamp for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
-    current = [line for line in lines if line.stamp == stamps[line.task] and variant in (None, line.variant)]
+    keys += ("variation", "perception")
+    current = [line for line in lines if line.stamp == stamps[line.task, line.variations]]
     return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
+
+
+def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
+    """Keep of these what the paper's tables are of: policies of the usual data in plain worlds, seen exactly."""
+    return [line for line in latest(lines) if line.is_plain and line.variant == DEFAULT_VARIANT]
 
 
 def age(line: Stamped) -> str:
     """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
-    return "" if line.stamp == stamp(line.task) else EARLIER
+    return "" if line.stamp == stamp(line.task, *line.variations) else EARLIER
 
 
 def group(lines: Iterable[PolicyResult], *keys: str) -> dict[tuple[Any, ...], list[PolicyResult]]:
@@ -147,7 +154,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def main_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by the number of training episodes, one row a task; the paper's is ACT."""
-    current = latest(lines, DEFAULT_VARIANT)
+    current = of_the_paper(lines)
     cells = group(current, "task", "num_train_episodes", "policy", "preset")
     if not cells:
         return ""
@@ -172,7 +179,7 @@ def main_table(lines: Iterable[PolicyResult]) -> str:
 
 def architectures_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by policy, for tasks and sizes with more than one of them."""
-    current = latest(lines, DEFAULT_VARIANT)
+    current = of_the_paper(lines)
     cells, tasks = group(current, "task", "num_train_episodes", "preset", "policy"), _labels(current)
     rows = []
     for task, size, preset in dict.fromkeys(key[:3] for key in cells):
@@ -190,31 +197,44 @@ def architectures_table(lines: Iterable[PolicyResult]) -> str:
     return f"{title}\n\n" + markdown(header, rows)
 
 
-def by_region(lines: Iterable[GenerationResult]) -> dict[str, list[GenerationResult]]:
-    """Return the last line of each region in order, for tasks with all three that are of the same version."""
-    own = [line for line in lines if line.is_plain]
+def by_region(lines: Iterable[GenerationResult], variation: str = "none") -> dict[str, dict[str, GenerationResult]]:
+    """Return the last line of each region in order, of those that are of the same version, by task.
+
+    In plain worlds these are the tasks with all three of the paper's regions.
+    """
+    own = [line for line in lines if line.is_undisturbed and line.variation == variation]
     stamps = {line.task: line.stamp for line in own}
     last = {(line.task, line.region): line for line in own if line.stamp == stamps[line.task]}
-    tasks = sorted({task for task, _ in last if all((task, region) in last for region in REGIONS)})
-    return {task: [last[task, region] for region in REGIONS] for task in tasks}
+    found = {}
+    for task in sorted({task for task, _ in last}):
+        regions = {region: last[task, region] for region in (*REGIONS, WIDEST) if (task, region) in last}
+        if variation != "none" or all(region in regions for region in REGIONS):
+            found[task] = regions
+    return found
 
 
-def regions_table(lines: Iterable[GenerationResult]) -> str:
-    """Return the success of generation by region, for tasks with all three."""
-    rows = []
-    for task, found in by_region(lines).items():
-        theirs = [number(paper.GENERATION.get((task, region))) for region in REGIONS]
-        ours = [generated(line) for line in found]
-        rows.append([task + age(found[0]), *ours, *theirs])
-    if not rows:
-        return ""
-    header = ["task", *REGIONS, *(f"paper: {region}" for region in REGIONS)]
-    return "**Generation success by initial region** [%]\n\n" + markdown(header, rows)
+def regions_table(lines: Sequence[GenerationResult]) -> str:
+    """Return the success of generation by region: in plain worlds, for tasks with all three, and in others."""
+    parts = []
+    for variation in dict.fromkeys(("none", *(line.variation for line in lines))):
+        found = by_region(lines, variation)
+        shown = [region for region in (*REGIONS, WIDEST) if any(region in regions for regions in found.values())]
+        theirs = REGIONS if variation == "none" else ()
+        rows = []
+        for task, regions in found.items():
+            row = [task + age(next(iter(regions.values())))]
+            row += [generated(regions[region]) if region in regions else "-" for region in shown]
+            rows.append([*row, *(number(paper.GENERATION.get((task, region))) for region in theirs)])
+        if rows:
+            worlds = "" if variation == "none" else f" in worlds that vary by `{variation}`"
+            header = ["task", *shown, *(f"paper: {region}" for region in theirs)]
+            parts.append(f"**Generation success by initial region{worlds}** [%]\n\n{markdown(header, rows)}")
+    return "\n\n".join(parts)
 
 
 def variants_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by the way the training data was generated, for what was trained on more than one."""
-    lines = latest(lines)
+    lines = [line for line in latest(lines) if line.is_plain]
     cells = group(lines, "task", "policy", "preset", "num_train_episodes", "region", "variant")
     tasks = _labels(lines)
     names = [name for name in VARIANTS if any(line.variant == name for line in lines)]
@@ -232,6 +252,49 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
     title = "**Success by how the training data was generated** [%], the same rollouts for all, and that of generation"
     notes = [f"{name}: {note}" for name, note in VARIANT_NOTES.items() if name in names]
     return "; ".join([title, *notes]) + "\n\n" + markdown(header, rows)
+
+
+def worlds_table(lines: Iterable[PolicyResult]) -> str:
+    """Return strict success by how worlds vary and by region, for policies that acted in more than plain worlds."""
+    exact = [line for line in latest(lines) if line.perception == "exact" and ":" not in line.variation]
+    title = "**Success of policies in worlds that vary** [%]; `noise` is data of plain worlds, `real` of varied ones"
+
+    def worlds(line: PolicyResult) -> str:
+        return f"{line.region}, `{line.variation}`"
+
+    return _compared(title, exact, worlds, sorted({worlds(line) for line in exact if line.variation != "none"}))
+
+
+def perception_table(lines: Iterable[PolicyResult]) -> str:
+    """Return success by how objects are seen, for policies that saw them in more than one way."""
+    plain = [line for line in latest(lines) if line.variation == "none"]
+    title = "**Success of policies by how they see objects** [%]; `model` is data with errors of a fitted model"
+    named = {line.perception for line in plain if line.perception != "exact"}
+    names = [name for name in PERCEPTIONS if name in named] + sorted(named - set(PERCEPTIONS))
+    return _compared(title, plain, lambda line: f"`{line.perception}`", [f"`{name}`" for name in names], "`exact`")
+
+
+def _compared(
+    title: str,
+    lines: Sequence[PolicyResult],
+    column: Callable[[PolicyResult], str],
+    wanted: Sequence[str],
+    first: str | None = None,
+) -> str:
+    """Return a table of policies against columns, for those with a line in one of the wanted ones."""
+    keys = ("task", "policy", "preset", "num_train_episodes", "variant", *(("region",) if first else ()))
+    rows, tasks = [], _labels(lines)
+    columns = [*([first] if first else []), *wanted]
+    for key, found in group(lines, *keys).items():
+        cells = {name: [line for line in found if column(line) == name] for name in columns}
+        if any(cells[name] for name in wanted):
+            task, policy, preset, size, variant, *region = key
+            named = [tasks[task], *region, method_title(policy, preset), str(size), variant]
+            rows.append([*named, *(percent(cells[name]) for name in columns)])
+    if not rows:
+        return ""
+    header = ["task", *(["region"] if first else []), "policy", "episodes", "data", *columns]
+    return f"{title}\n\n" + markdown(header, rows)
 
 
 def cost_table(lines: Iterable[PolicyResult]) -> str:
@@ -256,7 +319,8 @@ def cost_table(lines: Iterable[PolicyResult]) -> str:
 def experiments_tables(lines: Sequence[PolicyResult]) -> str:
     """Return every table that lines of ``experiments.jsonl`` fill."""
     parts = [main_table(line for line in lines if line.region == DEFAULT_REGION), architectures_table(lines)]
-    return "\n\n".join(part for part in (*parts, variants_table(lines), cost_table(lines)) if part)
+    parts += [worlds_table(lines), perception_table(lines), variants_table(lines), cost_table(lines)]
+    return "\n\n".join(part for part in parts if part)
 
 
 def _labels(lines: Iterable[PolicyResult]) -> dict[str, str]:

@@ -24,9 +24,11 @@ from lerobot_demohlm import drawing
 from lerobot_demohlm.evaluation.evaluate import read_rollouts
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import lines, plots, readme_tables
+from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import PolicyResult
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, Layout
+from lerobot_demohlm.experiments.plan import Cell
 from lerobot_demohlm.experiments.tables import latest, method_title
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports.films import policy_take, write_take
 from lerobot_demohlm.reproducibility.processes import end_with_parent

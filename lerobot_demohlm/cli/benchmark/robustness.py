@@ -41,7 +41,8 @@ def run(options: Options) -> None:
         PolicyError: The policy does not fit.
     """
     from gym_demohlm.variation.factors import GROUPS
-    from lerobot_demohlm.benchmarks.robustness import draw, measure, table
+    from lerobot_demohlm.benchmarks.robustness import measure
+    from lerobot_demohlm.experiments.robustness import draw, measured, table
     from lerobot_demohlm.reproducibility.results import append_result
 
     if options.policy is not None:
@@ -63,6 +64,7 @@ def run(options: Options) -> None:
             append_result(options.results, command, line)
             strict = line["success_strict"]["rate"]
             print(f"{line['task']} {line['group']} x {line['strength']:g}: {100 * strict:.0f} %", flush=True)
-    print(table(options.results))
+    rows = measured(options.results)
+    print(table(rows))
     if options.figure is not None:
-        draw(options.results, options.figure)
+        draw(rows, options.figure)

@@ -102,6 +102,23 @@ def test_an_environment_repeats_an_episode_from_its_initial_state(variation: str
     env.close()
 
 
+def test_a_task_without_fitted_errors_has_the_others() -> None:
+    """So a task from outside the package varies, too."""
+    own = dataclasses.replace(TASK, name="Own")
+    sim = Simulation(own, 1, variation=get_variation("real:perception"))
+    drawn: InitialState = {"perception.errors": [9.0], "perception.bias": [20.0], "perception.latency": [0.0]}
+    state = START | drawn | {"perception.dropout": [0.0]}
+    sim.reset([state])
+    told, rows = [], np.arange(1)
+    for variation in ("real:perception", "none"):
+        sight = Sight(sim, "exact", get_variation(variation))
+        sight.begin(rows, [state])
+        told.append(sight.estimate.T_camera_object[0, 0, :3, 3].copy())
+        sight.close()
+    sim.close()
+    assert np.linalg.norm(told[0] - told[1]) == pytest.approx(0.02)
+
+
 def test_other_groups_keep_exact_poses() -> None:
     told = []
     for variation in ("none", "real:pushes"):

@@ -8,17 +8,18 @@ import pytest
 from gym_demohlm import jsonl
 from gym_demohlm.registry import get_task, register_task
 from gym_demohlm.variation import get_variation
-from lerobot_demohlm.benchmarks import robustness
+from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.cli import main
+from lerobot_demohlm.experiments.plan import STRENGTHS, graded
 from tests.helpers.checkpoints import save_policy
 
 
 def test_every_cell_is_a_variation() -> None:
-    for group in robustness.GROUPS:
-        for strength in robustness.STRENGTHS:
-            ranges = get_variation(robustness.variation(group, strength)).ranges
+    for group in GROUPS:
+        for strength in STRENGTHS:
+            ranges = get_variation(graded(group, strength)).ranges
             assert ranges and all(key.startswith(f"{group}.") for key in ranges)
-    assert not get_variation(robustness.variation(None, 0.0))
+    assert not get_variation(graded(None, 0.0))
 
 
 def test_lines_become_a_table_and_a_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,8 @@ from lerobot_demohlm import quickstart
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.evaluation import leaderboard
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
-from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, first_seed, read, sign
+from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, read, sign
+from lerobot_demohlm.evaluation.scoring import first_seed
 from tests.helpers.checkpoints import save_policy
 
 

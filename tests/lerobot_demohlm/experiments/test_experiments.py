@@ -13,6 +13,8 @@ import pytest
 
 from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.task import SCORING_SEEDS
+from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm import cli
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.facts import write_facts
@@ -21,8 +23,10 @@ from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.cells import _alone as run_alone
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import DEFAULT_VARIANT, Cell, RegionCell, plan, stamp
+from lerobot_demohlm.experiments.plan import PERCEPTIONS, STRENGTHS, Cell, RegionCell, plan
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, stamp
+from lerobot_demohlm.generation.attempt import initial_state
 from tests.helpers.experiment_lines import CELL, layout, make_line
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -49,12 +53,63 @@ def test_every_task_has_a_number_before_any_has_two() -> None:
     ]
     assert rounds == [("mlp", 1000, 0), ("mlp", 100, 0), ("act", 1000, 0), ("mlp", 1000, 1), ("mlp", 100, 1)]
     assert {cell.policy for cell in plan("architectures", tasks=["LiftBox"])} == {"mlp", "act", "diffusion"}  # pyright: ignore
-    assert {cell.region for cell in plan("regions")} == {"R1", "R2", "R3"}
+    regions = [(cell.region, cell.variation) for cell in plan("regions", tasks=["LiftBox"])]
+    assert regions == [(region, world) for world in ("none", "real") for region in ("R3", "R2", "R1", "R4")]
     assert len(plan("main", tasks=["LiftBox"], sizes=[5000], seeds=[3], policies=["mlp"])) == 1
     with pytest.raises(UnknownNameError, match="task 'Lift'"):
         plan("main", tasks=["Lift"])
     with pytest.raises(PolicyError, match="num_train_episodes=0"):
         plan("main", sizes=[0])
+
+
+def test_harder_worlds_have_tables_of_their_own() -> None:
+    worlds = plan("worlds", tasks=["LiftBox"], policies=["mlp"], seeds=[0])
+    assert [(c.region, c.variant, c.variation) for c in worlds if isinstance(c, Cell)] == [
+        ("R3", "real", "real"), ("R3", "noise", "real"), ("R4", "real", "real"), ("R4", "noise", "real")
+    ]  # fmt: skip
+    seen = plan("perception", tasks=["LiftBox"], policies=["mlp"], variants=["noise"])
+    assert [c.perception for c in seen if isinstance(c, Cell)] == list(PERCEPTIONS)
+    graded = plan("robustness", tasks=["LiftBox"])
+    assert len(graded) == 1 + len(GROUPS) * len(STRENGTHS) and graded[1].variation == "hard@0.5:objects"
+    wrong: list[tuple[str, dict[str, Any]]] = [
+        ("worlds", {"variations": ["reel"]}),
+        ("worlds", {"perceptions": ["eyes"]}),
+        ("worlds", {"regions": ["R9"]}),
+        ("regions", {"variations": ["reel"]}),
+        ("regions", {"regions": ["R9"]}),
+    ]
+    for table, chosen in wrong:
+        with pytest.raises(UnknownNameError):
+            plan(table, **chosen)
+
+
+def test_cells_that_differ_in_their_rollouts_only_share_a_training(tmp_path: Path) -> None:
+    own = layout(tmp_path)
+    cells = [
+        CELL,
+        *(dataclasses.replace(CELL, variation=name) for name in ("real", "hard@0.5:objects", "hard@1:robot")),
+    ]
+    cells += [dataclasses.replace(CELL, perception=name) for name in ("rgbd", "rgbd,masks=color")]
+    assert {own.training(cell) for cell in cells} == {own.training(CELL)}
+    assert len({own.rollouts(cell) for cell in cells}) == len(cells)
+    assert all(set(own.rollouts(cell).name) <= set("abcdefghijklmnopqrstuvwxyz0123456789._-") for cell in cells)
+    real = dataclasses.replace(CELL, variant="real")
+    assert own.training(real) != own.training(CELL)
+    assert own.dataset("LiftBox", "R3", 100, "real") != own.dataset("LiftBox", "R3", 100, "noise")
+    for cell in (*cells, real):
+        line = make_line(cell)
+        assert [other for other in (*cells, real) if other.is_of(line)] == [cell]
+
+
+def test_a_stamp_knows_the_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = dataclasses.replace(CELL, variation="real")
+    before = real.stamp, CELL.stamp
+    assert before[0].startswith(CELL.stamp) and real.data_stamp == CELL.stamp
+    assert dataclasses.replace(CELL, variation="real:robot", variant="real").stamp == real.stamp
+    stamp.cache_clear()
+    monkeypatch.setattr(portability, "recipe", lambda preset: f"new {preset}")
+    assert real.stamp != before[0] and CELL.stamp == before[1]
+    stamp.cache_clear()
 
 
 def test_smaller_sizes_come_from_the_larger_dataset(tmp_path: Path) -> None:
@@ -68,26 +123,32 @@ def test_smaller_sizes_come_from_the_larger_dataset(tmp_path: Path) -> None:
     assert own.dataset("LiftBox", "R3", 100) == first
 
 
-def test_a_region_counts_the_first_attempts_of_a_dataset_to_train_on(tmp_path: Path) -> None:
-    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
-    root = own.dataset(cell.task, cell.region, 2)
-    outcomes = ["success", "fell", "success", "success"]
+def test_a_region_whose_line_was_never_written_is_not_made_again(tmp_path: Path) -> None:
+    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R2")
+    root = own.generation(cell, 4)
     (root / "meta").mkdir(parents=True)
+    outcomes = ["success", "fell", "success", "success"]
     write_facts(root, make_facts(), [make_episode(i, outcome=outcome).record() for i, outcome in enumerate(outcomes)])
-    line = run_cell(cell, own, Effort(num_attempts=3, deadline=0.0))
+    line = run_cell(cell, own, Effort(num_attempts=4, deadline=0.0))
     assert isinstance(line, GenerationResult) and cell.is_of(line)
-    assert (line.attempts, line.successes, line.outcomes["fell"]) == (3, 2, 1)
+    assert (line.attempts, line.successes, line.outcomes["fell"]) == (4, 3, 1)
     assert line.episode_s == pytest.approx(1.2)
     assert run_cell(cell, own, Effort(num_attempts=5, deadline=0.0)) is None, "there are not so many, and no time"
 
 
-def test_a_region_whose_line_was_never_written_is_not_made_again(tmp_path: Path) -> None:
-    own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R2")
-    root = own.generation(cell, 2)
-    (root / "meta").mkdir(parents=True)
-    write_facts(root, make_facts(), [make_episode(i).record() for i in range(2)])
-    line = run_cell(cell, own, Effort(num_attempts=2, deadline=0.0))
-    assert isinstance(line, GenerationResult) and line.attempts == 2
+def test_starts_are_kept_for_scoring_and_no_two_cells_share_them() -> None:
+    regions = plan("regions", variations=["none"])
+    assert all(cell.seed in SCORING_SEEDS for cell in regions if isinstance(cell, RegionCell))
+    starts = [initial_state(get_task(c.task).at(c.region), c.region, SCORING_SEEDS.start, 0)["robot"] for c in regions]
+    assert len(set(map(tuple, starts))) == len(regions) == 4 * len(all_tasks())
+    seeds = [
+        cell.first_seed
+        for cell in plan("worlds", policies=["mlp"], variants=["real"], seeds=[0])
+        if isinstance(cell, Cell)
+    ]
+    with pytest.raises(DatasetError, match="at most 1000"):
+        Effort(num_rollouts=1001)
+    assert len(set(seeds)) == len(seeds) and all(seed in SCORING_SEEDS for seed in seeds)
 
 
 def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -127,7 +188,15 @@ def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest
 
 @pytest.mark.parametrize(
     "changes",
-    [{"stamp": "other"}, {"recipe": "other"}, {"steps": 2}, {"variant": "plain"}, {"train_seed": 1}, {"episodes": 2}],
+    [
+        {"stamp": "other"},
+        {"recipe": "other"},
+        {"steps": 2},
+        {"variant": "plain"},
+        {"train_seed": 1},
+        {"episodes": 2},
+        {"first_seed": 0},
+    ],
     ids=str,
 )
 def test_a_line_of_something_else_is_not_a_cells(tmp_path: Path, changes: dict[str, Any]) -> None:
@@ -140,8 +209,9 @@ def test_a_line_of_something_else_is_not_a_cells(tmp_path: Path, changes: dict[s
 
 def test_regions_are_of_plain_attempts_and_enough_of_them(tmp_path: Path) -> None:
     own, cell = layout(tmp_path), RegionCell(task="LiftBox", region="R3")
-    line = GenerationResult(task="LiftBox", region="R3", stamp=stamp("LiftBox"), attempts=500, successes=500)
-    for changes in ({"command_noise": 1.0}, {"start_spread": 1.3}, {"retries": 1}, {"stamp": "other"}, {"attempts": 3}):
+    line = GenerationResult(**dataclasses.asdict(cell), stamp=cell.stamp, attempts=500, successes=500)
+    changed = ({"command_noise": 1.0}, {"start_spread": 1.3}, {"retries": 1}, {"stamp": "other"}, {"attempts": 3})
+    for changes in (*changed, {"perception": "rgbd"}, {"variation": "real"}, {"seed": 0}):
         lines.append(own.generation_file, "demohlm generate", dataclasses.replace(line, **changes))
     assert missing([cell], own, num_attempts=500) == [cell]
     lines.append(own.generation_file, "demohlm generate", line)
@@ -208,6 +278,15 @@ def test_one_cell_makes_the_data_of_both(tmp_path: Path, made: bool) -> None:
     run: Any = partial(run_beside, folder=tmp_path, seconds=60.0 if made else 2.0)
     assert reproduce(cells, own, run, num_workers=2) == (2, [])
     assert [line.first_seed for line in lines.read_policies(own.policies_file)] == [2 if made else 1, 2]
+
+
+def test_two_cells_of_one_training_do_not_train_beside_each_other(tmp_path: Path) -> None:
+    own = layout(tmp_path)
+    cells = [CELL, dataclasses.replace(CELL, variation="real")]
+    own.dataset(CELL.task, CELL.region, CELL.num_train_episodes, CELL.variant).mkdir(parents=True)
+    run: Any = partial(run_beside, folder=tmp_path, seconds=2.0)
+    assert reproduce(cells, own, run, num_workers=2) == (2, [])
+    assert [line.first_seed for line in lines.read_policies(own.policies_file)] == [1, 1], "both are of one seed"
 
 
 @pytest.mark.slow

@@ -15,9 +15,10 @@ from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm import cli, drawing
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.experiments import lines, paper, plots, readme_tables, tables
+from lerobot_demohlm.experiments import lines, paper, plots, readme_tables, robustness, tables
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import plan, stamp
+from lerobot_demohlm.experiments.plan import plan
+from lerobot_demohlm.experiments.variants import stamp
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports import experiments_page as page
 from lerobot_demohlm.reports import films
@@ -123,6 +124,83 @@ def test_an_ablation_of_data_stands_beside_the_papers_tables(tmp_path: Path) -> 
     assert tables.variants_table([old, new]) in tables.experiments_tables([old, new])
     with pytest.raises(UnknownNameError, match="variant 'noisy'"):
         dataclasses.replace(CELL, variant="noisy")
+
+
+def test_harder_worlds_stand_beside_the_papers_tables(tmp_path: Path) -> None:
+    real = dataclasses.replace(CELL, variant="real", variation="real")
+    own = [
+        make_line(successes=250),
+        make_line(dataclasses.replace(CELL, variation="real"), 200, successes_strict=150),
+        make_line(real, 225, successes_strict=220),
+        make_line(dataclasses.replace(real, region="R4"), 125, successes_strict=100),
+        make_line(dataclasses.replace(CELL, perception="rgbd"), 245, successes_strict=240),
+        make_line(dataclasses.replace(CELL, task="PressCube"), 250),
+    ]
+    rows = tables.worlds_table(own).splitlines()
+    assert rows[2] == "| task | policy | episodes | data | R3, `real` | R4, `real` |"
+    assert rows[4:] == [
+        "| LiftBox | MLP | 100 | noise | 80.0 (74.6 to 84.5), strict 60.0 | - |",
+        "| LiftBox | MLP | 100 | real | 90.0 (85.7 to 93.1), strict 88.0 | 50.0 (43.8 to 56.2), strict 40.0 |",
+    ]
+    rows = tables.perception_table(own).splitlines()
+    assert rows[2] == "| task | region | policy | episodes | data | `exact` | `rgbd` |"
+    assert rows[4:] == [
+        "| LiftBox | R3 | MLP | 100 | noise | 100.0 (98.5 to 100.0) | 98.0 (95.4 to 99.1), strict 96.0 |"
+    ]
+    plain = [own[0], own[-1]]
+    assert tables.worlds_table(plain) == tables.perception_table(plain) == ""
+    assert tables.main_table(own) == tables.main_table(plain)
+    both, one = plots.size_figure(own), plots.size_figure(plain)
+    assert both is not None and one is not None and drawing.svg(both) == drawing.svg(one)
+    for line in own:
+        lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce --table worlds", line)
+    text = readme_tables.tables(tmp_path)
+    assert tables.worlds_table(own) in text and tables.perception_table(own) in text
+    assert "vary by one group" not in text
+
+
+def test_scores_under_each_group_become_rows(tmp_path: Path) -> None:
+    cell = dataclasses.replace(CELL, policy="act", variant="real")
+    names = ["none", "hard@0.5:objects", "hard@1.5:objects", "real"]
+    own = [
+        make_line(dataclasses.replace(cell, variation=name, train_seed=seed), 250, successes_strict=250 - 50 * index)
+        for index, name in enumerate(names)
+        for seed in (0, 1)
+    ]
+    rows = robustness.scored([*own, make_line(CELL, successes_strict=9)])
+    assert [row.name for row in rows] == ["LiftBox R3, ACT of 100 real"]
+    assert rows[0].shares["none"] == (500, 500)
+    assert "| LiftBox R3, ACT of 100 real | 100 | 80 / - / 60 | - / - / - |" in robustness.table(rows)
+    points = rows[0].points("objects")
+    assert [point[:2] for point in points] == [(0.0, 1.0), (0.5, 0.8), (1.5, 0.6)]
+    assert robustness.scored(own[:2]) == [] and robustness.table([]) == ""
+    for line in own:
+        lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce --table robustness", line)
+    assert robustness.table(rows) in readme_tables.tables(tmp_path)
+
+
+def test_regions_of_varied_worlds_have_a_table_of_their_own() -> None:
+    found = [
+        GenerationResult(
+            task="Handover",
+            region=region,
+            attempts=100,
+            successes=successes,
+            variation=variation,
+            stamp=stamp("Handover", variation),
+        )
+        for variation, region, successes in (
+            ("none", "R1", 99), ("none", "R2", 98), ("none", "R3", 97), ("none", "R4", 90), ("real", "R3", 80)
+        )
+    ]  # fmt: skip
+    rows = tables.regions_table(found).splitlines()
+    assert rows[2] == "| task | R1 | R2 | R3 | R4 | paper: R1 | paper: R2 | paper: R3 |"
+    assert "| 90.0 (82.6 to 94.5) |" in rows[4]
+    assert rows[6].startswith("**Generation success by initial region in worlds that vary by `real`**")
+    assert rows[8:] == ["| task | R3 |", "|---|---|", "| Handover | 80.0 (71.1 to 86.7) |"]
+    assert tables.regions_table(found[1:4]) == "", "not all regions of the paper"
+    drawn = plots.regions_figure(found)
+    assert drawn is not None and len(points(drawn)) == 3 + 3
 
 
 def test_paper_has_every_task() -> None:

@@ -11,7 +11,7 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.wbc.evaluation.contest import PROTOCOLS
 from lerobot_demohlm.experiments import controller_tables, lines, measured_tables, readme_tables
 from lerobot_demohlm.experiments.lines import GenerationResult
-from lerobot_demohlm.experiments.plan import stamp
+from lerobot_demohlm.experiments.variants import stamp
 from lerobot_demohlm.reproducibility.results import append_result
 from tests.helpers.experiment_lines import CELL, make_line
 from tests.helpers.paths import REPOSITORY

@@ -1,0 +1,65 @@
+"""Cells -> where a run of experiments keeps their data, trainings, rollouts and lines."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.experiments.plan import Cell, RegionCell, suffix
+from lerobot_demohlm.experiments.variants import PLAIN, VARIANTS, stamp
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where a run of experiments keeps what.
+
+    Attributes:
+        root: Directory of everything large: datasets, trainings, rollouts.
+        results: Directory of the lines that are kept.
+    """
+
+    root: Path
+    results: Path
+
+    @property
+    def policies_file(self) -> Path:
+        """Return where the score of each cell goes."""
+        return self.results / "experiments.jsonl"
+
+    @property
+    def generation_file(self) -> Path:
+        """Return where the success of generation goes."""
+        return self.results / "generation.jsonl"
+
+    def dataset(self, task: str, region: str, size: int, variant: str = PLAIN) -> Path:
+        """Return the smallest dataset there is with so many episodes, or where to make one."""
+        held = self.datasets(task, region, variant)
+        sizes = {count: path for path, count in held.items() if count >= size}
+        return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant)}_{size}"
+
+    def datasets(self, task: str, region: str, variant: str = PLAIN) -> dict[Path, int]:
+        """Return the datasets that there are, and how many episodes each has."""
+        found = (self.root / "data").glob(f"{_stem(task, region, variant)}_*[0-9]")
+        return {path: int(path.name.rpartition("_")[2]) for path in sorted(found)}
+
+    def generation(self, cell: RegionCell, num_attempts: int) -> Path:
+        """Return where the attempts of a region are made."""
+        parts = (get_task(cell.task).slug, cell.region.lower(), *suffix(cell.variation, "none"), cell.stamp)
+        return self.root / "regions" / "_".join((*parts, str(num_attempts)))
+
+    def training(self, cell: Cell) -> Path:
+        """Return where a cell is trained."""
+        return self.root / "policies" / f"{cell.trained}_{cell.data_stamp}_{cell.recipe}"
+
+    def times(self, cell: Cell) -> Path:
+        """Return the file that a training which came to its end has beside its checkpoints."""
+        return self.training(cell) / "times.json"
+
+    def rollouts(self, cell: Cell) -> Path:
+        """Return where a cell's rollouts are, one line each."""
+        return self.root / "rollouts" / f"{cell.name}_{cell.stamp}_{cell.recipe}.jsonl"
+
+
+def _stem(task: str, region: str, variant: str) -> str:
+    """Return what the names of datasets begin with."""
+    made = stamp(task, VARIANTS[variant].variation)
+    return "_".join((get_task(task).slug, region.lower(), *suffix(variant), made))

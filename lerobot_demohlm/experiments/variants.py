@@ -1,0 +1,39 @@
+"""Ways to generate training data, and digests of what generation makes of a task in its worlds."""
+
+import functools
+import re
+from collections.abc import Mapping
+
+from gym_demohlm.registry import get_task
+from gym_demohlm.variation import get_variation
+from lerobot_demohlm.checks import portability
+from lerobot_demohlm.datasets import variation
+from lerobot_demohlm.datasets.variation import DataVariation
+
+PLAIN = "plain"  # what lines without a variant are of, and what the table of regions counts
+DEFAULT_VARIANT = "noise"  # what policies are trained on: the best in the ablation
+VARIANTS: Mapping[str, DataVariation] = {
+    PLAIN: variation.PLAIN,
+    "noise": DataVariation(command_noise=1.0),
+    "starts": DataVariation(command_noise=0.0, start_spread=1.3),
+    "stances": DataVariation(command_noise=0.0, stance_spread=1.0),
+    "noise_stances": DataVariation(command_noise=1.0, stance_spread=1.0),
+    "real": DataVariation(command_noise=1.0, variation="real"),
+    "model": DataVariation(command_noise=1.0, perception="model"),
+}
+"""Ways to generate training data, each said in full; rollouts are the same for all of them."""
+
+
+@functools.cache
+def stamp(task: str, *variations: str) -> str:
+    """Return letters that change with what generation does with a task, wherever its code stands.
+
+    Args:
+        task: Name of the task.
+        variations: Of the worlds that a result is of, of its training data and its rollouts; "none" adds nothing.
+
+    Returns:
+        Eight letters of the task, and eight of each preset that its worlds vary by.
+    """
+    presets = sorted({re.split("[@:]", name)[0] for name in variations if get_variation(name)})
+    return "".join([portability.stamp(get_task(task)), *map(portability.recipe, presets)])
