@@ -39,8 +39,8 @@ BEGIN, END = "<!-- results -->", "<!-- /results -->"
 README_EPISODES = 1000  # training episodes of the policies in the README's table
 
 CAVEATS = """\
-These numbers come from a simulation that is kinder than a laboratory. Read them with this in mind. Tables of worlds that
-vary and of eyes that err say so; what follows is of the plain world, which all others are of.
+These numbers come from a simulation that is kinder than a laboratory. Read them with this in mind. Tables of worlds
+that vary and of eyes that err say so; what follows is of the plain world, which all others are of.
 
 - **Less turning than the regions suggest.** R3 turns objects by up to 180 degrees. But the objects of six tasks look
   the same after a quarter turn, three tasks limit the turn to 45 degrees because a door, a cart and a board have a
@@ -53,8 +53,8 @@ vary and of eyes that err say so; what follows is of the plain world, which all 
 - **Two successes.** A success was held for a second. Where "strict" stands beside it, this is the share of attempts or
   rollouts that also dropped and hit nothing at any time, and whose robot stood for two more seconds
   ([docs/benchmark.md](benchmark.md)). Lines without it are from before that was judged.
-- **Shared starts.** In rows of an earlier version, all tasks and regions are sampled from the same random numbers: thirty
-  cells have 500 different starts, not 15,000, and the generator was tuned on the same seed. Since then
+- **Shared starts.** In rows of an earlier version, all tasks and regions are sampled from the same random numbers:
+  thirty cells have 500 different starts, not 15,000, and the generator was tuned on the same seed. Since then
   `demohlm reproduce` scores each task and region from starts of its own, which nothing else uses.
 - **Scripted demonstrations.** The one demonstration of each task was recorded by a script, not by a person.
 - **Friendly scenes.** Nothing lies around the objects, and the feet of pedestals do not collide.
