@@ -6,9 +6,9 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.perception.settings import PerceptionSettings
-from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
+from lerobot_demohlm.experiments.success_curves import Panel, draw_panels
 
 AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "bias_mm": ("exact", (5.0, 10.0, 20.0, 30.0)),

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from gym_demohlm import jsonl
 from gym_demohlm.variation.factors import GROUPS
-from lerobot_demohlm.benchmarks.success_curves import Panel, Point, draw_panels
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import GRADED, STRENGTHS, graded
+from lerobot_demohlm.experiments.success_curves import Panel, Point, draw_panels
 from lerobot_demohlm.experiments.tables import TITLES, age, latest, markdown
 
 SUCCESS = "success_strict"

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from lerobot_demohlm.benchmarks import perception_curves
-from lerobot_demohlm.benchmarks.success_curves import Panel, draw_panels
+from lerobot_demohlm.experiments.success_curves import Panel, draw_panels
 
 
 @pytest.fixture
