@@ -15,10 +15,10 @@ class Disturbance:
     """What is wrong with the eyes of one episode.
 
     Attributes:
-        errors: Errors over the fitted ones, with the source "model"; 0 for none, and nothing is lost then.
-        bias_mm: Distance by which each object is told elsewhere [mm].
-        latency_s: Age of what is told [s].
-        dropout: Share of frames from which nothing is told.
+        errors: Factor of the fitted errors, with the source "model". With 0 poses are exact and objects are never lost.
+        bias_mm: Length of the error of each object's place that stays for the whole episode [mm].
+        latency_s: Age of poses when they arrive [s].
+        dropout: Share of frames that give no new pose, in [0, 1].
     """
 
     errors: float = 1.0

@@ -45,7 +45,7 @@ class DisturbedPerceiver:
 
     Args:
         source: Whose estimates are disturbed.
-        settings: ``bias_mm``, ``dropout`` and ``latency_s`` of it count where an episode draws none of its own.
+        settings: ``bias_mm``, ``dropout`` and ``latency_s`` of it; what an episode draws is added.
         num_worlds: N of the simulation.
     """
 

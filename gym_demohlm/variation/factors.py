@@ -211,14 +211,14 @@ _ALL = (
     ),
     Factor(
         group="perception", name="errors", unit="1", neutral=0.0, real=(0.5, 1.5), hard=(1.0, 3.0), bounds=(0.0, 10.0),
-        meaning="errors of poses over those that are fitted to the tracker, where a task has a fit; with 0 nothing is "
-        "lost either",
+        meaning="factor of the errors that are fitted to the tracker, where a task has such a fit; with 0 poses are "
+        "exact and objects are never lost",
         source="`demohlm fit-perception`; the spread is chosen",
     ),
     Factor(
         group="perception", name="bias", unit="mm", neutral=0.0, real=(0.0, 3.0), hard=(0.0, 8.0), bounds=(0.0, 100.0),
-        meaning="each object is told elsewhere by this length, and turned by 0.2 degrees a millimetre, throughout the "
-        "episode: a camera or a mesh that is a little off",
+        meaning="length of an error of each object's place, in a random direction, with an error of its turn of 0.2 "
+        "degrees a millimetre; both stay for the whole episode: a camera or a mesh that is a little off",
         source=f"{_CHOSEN}: what is left of a camera's calibration",
     ),
     Factor(
@@ -227,7 +227,7 @@ _ALL = (
     ),
     Factor(
         group="perception", name="dropout", unit="1", neutral=0.0, real=(0.0, 0.05), hard=(0.0, 0.2), bounds=(0.0, 1.0),
-        meaning="share of frames that tell nothing new", source=_CHOSEN,
+        meaning="share of frames that give no new pose", source=_CHOSEN,
     ),
 )  # fmt: skip
 

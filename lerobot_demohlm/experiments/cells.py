@@ -51,7 +51,9 @@ class Effort:
         """Check that the starts of a cell are its own."""
         if self.num_rollouts > SEEDS_A_CELL:
             raise DatasetError(
-                f"num_rollouts={self.num_rollouts}", f"at most {SEEDS_A_CELL}, or tasks share starts", "ask for fewer"
+                f"num_rollouts={self.num_rollouts}",
+                f"at most {SEEDS_A_CELL}, or tasks share starts",
+                "correct --num-rollouts",
             )
 
     @property

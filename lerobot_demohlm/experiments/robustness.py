@@ -10,7 +10,7 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import GRADED, STRENGTHS, graded
 from lerobot_demohlm.experiments.success_curves import Panel, Point, draw_panels
-from lerobot_demohlm.experiments.tables import TITLES, age, latest, markdown
+from lerobot_demohlm.experiments.tables import age, latest, markdown, method_title
 
 SUCCESS = "success_strict"
 
@@ -63,8 +63,8 @@ def scored(results: Iterable[PolicyResult]) -> list[Row]:
     found: dict[str, dict[str, tuple[int, int]]] = {}
     for line in latest(results):
         if line.perception == "exact" and line.successes_strict is not None:
-            name = f"{line.task} {line.region}, {TITLES[line.policy]} of {line.num_train_episodes} {line.variant}"
-            cells = found.setdefault(name + age(line), {})
+            trained = f"{method_title(line.policy, line.preset)} of {line.num_train_episodes} {line.variant}"
+            cells = found.setdefault(f"{line.task} {line.region}, {trained}{age(line)}", {})
             before = cells.get(line.variation, (0, 0))  # of another seed of the training
             cells[line.variation] = before[0] + line.successes_strict, before[1] + line.episodes
     wanted = {graded(group, strength) for group in GROUPS for strength in STRENGTHS}

@@ -20,6 +20,8 @@ VARIANT_NOTES = {
     "noise": "commands are executed with noise and recorded without",
     "starts": "wider starts of the robot",
     "stances": "it acts from places that are a little off",
+    "real": "noise, in worlds that vary",
+    "model": "noise, with object poses that have the tracker's fitted errors",
 }
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
 
@@ -255,7 +257,7 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
 
 
 def worlds_table(lines: Iterable[PolicyResult]) -> str:
-    """Return strict success by how worlds vary and by region, for policies that acted in more than plain worlds."""
+    """Return success by how worlds vary and by region, for policies that acted in more than plain worlds."""
     exact = [line for line in latest(lines) if line.perception == "exact" and ":" not in line.variation]
     title = "**Success of policies in worlds that vary** [%]; `noise` is data of plain worlds, `real` of varied ones"
 

@@ -167,6 +167,10 @@ def test_scores_under_each_group_become_rows(tmp_path: Path) -> None:
         for index, name in enumerate(names)
         for seed in (0, 1)
     ]
+    paper_like = dataclasses.replace(cell, preset="paper", variation="hard@1:robot")
+    assert [row.name for row in robustness.scored([*own, make_line(paper_like, successes_strict=9)])] == [
+        "LiftBox R3, ACT (paper) of 100 real", "LiftBox R3, ACT of 100 real"
+    ], "another recipe is another row"  # fmt: skip
     rows = robustness.scored([*own, make_line(CELL, successes_strict=9)])
     assert [row.name for row in rows] == ["LiftBox R3, ACT of 100 real"]
     assert rows[0].shares["none"] == (500, 500)
