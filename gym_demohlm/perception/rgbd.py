@@ -14,7 +14,7 @@ from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, SHIFT_OF_DEGREE, Pe
 from gym_demohlm.perception.tracker import Tracker
 from gym_demohlm.perception.visual_model import Frame, VisualModel
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import ObjectSpec, Task
+from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
 
 _NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
@@ -68,13 +68,12 @@ class _Memory:
     Attributes:
         scale: The depth camera's factor.
         trackers: One an object.
-        guessed: Objects that were found before what carries them was: which of the poses that look the same is theirs
-            was a guess.
+        touched: Objects that a hand was near: they may lie otherwise than at first.
     """
 
     scale: float
     trackers: list[Tracker]
-    guessed: set[int] = field(default_factory=set)
+    touched: set[int] = field(default_factory=set)
 
 
 class RgbdPerceiver(SeeingPerceiver):
@@ -124,33 +123,14 @@ class RgbdPerceiver(SeeingPerceiver):
             hiders = hiders | mask
         order = sorted(range(len(found)), key=lambda k: self._task.objects[k].moves_with is not None)
         for k in order:
-            tracker, entry = trackers[k], self._task.objects[k]
-            tracker.update(
-                depth,
-                found[k],
-                frame.window,
-                T_odom_optical,
-                STEP_DT,
-                hand_motions(tracker, eyes.palms, palms),
-                in_front[k],
-                self._lies(entry, trackers, T_odom_optical),
-            )
-            self._settle(k, memory, T_odom_optical)
+            tracker, motions = trackers[k], hand_motions(trackers[k], eyes.palms, palms)
+            if motions:
+                memory.touched.add(k)
+            lies = self._lies(k, trackers, T_odom_optical, found[k], frame.window)
+            tracker.update(depth, found[k], frame.window, T_odom_optical, STEP_DT, motions, in_front[k], lies)
+            if lies is not None and self._carrier(k, trackers) is not None and k not in memory.touched:
+                tracker.settle(T_odom_optical, lies)
         return [sighting_of(tracker) for tracker in trackers]
-
-    def _settle(self, k: int, memory: _Memory, T_odom_optical: np.ndarray) -> None:
-        """Correct how an object was taken to lie, when what carries it is found after it."""
-        carrier = self._task.objects[k].moves_with
-        if carrier is None or memory.trackers[k].track is None:
-            return
-        names = [entry.name for entry in self._task.objects]
-        if memory.trackers[names.index(carrier)].track is None:
-            memory.guessed.add(k)
-        elif k in memory.guessed:
-            memory.guessed.remove(k)
-            lies = self._lies(self._task.objects[k], memory.trackers, T_odom_optical)
-            assert lies is not None  # as its carrier does
-            memory.trackers[k].settle(T_odom_optical, lies)
 
     def _masks(
         self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: list[Tracker], T_odom_optical: np.ndarray
@@ -204,18 +184,33 @@ class RgbdPerceiver(SeeingPerceiver):
         right, bottom = np.max(high, axis=0).astype(int).tolist()
         return camera.Window(left=left, top=top, width=right - left, height=bottom - top)
 
-    def _lies(self, entry: ObjectSpec, trackers: list[Tracker], T_odom_optical: np.ndarray) -> np.ndarray | None:
-        """Return roughly how an object lies at first: as what carries it, or facing the robot; None for any yaw."""
-        if entry.moves_with is not None:
-            names = [other.name for other in self._task.objects]
-            carrier = trackers[names.index(entry.moves_with)].track
-            if carrier is not None:
-                turn = entry.yaw - self._task.object(entry.moves_with).yaw
-                return carrier.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
-        if entry.symmetry != (0.0,):
+    def _carrier(self, k: int, trackers: list[Tracker]) -> int | None:
+        """Return which object carries an object and was seen, or None."""
+        carrier = self._task.objects[k].moves_with
+        if carrier is None:
             return None
-        heading = math.atan2(T_odom_optical[1, 2], T_odom_optical[0, 2])
-        return poses.planar(0.0, 0.0, heading + entry.yaw)[:3, :3]
+        index = [entry.name for entry in self._task.objects].index(carrier)
+        return None if trackers[index].track is None else index
+
+    def _lies(
+        self, k: int, trackers: list[Tracker], T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
+    ) -> np.ndarray | None:
+        """Return roughly how an object lies at first (3, 3): as what carries it, or seen from its front; or None.
+
+        Odometry coordinates.
+        """
+        entry, carrier = self._task.objects[k], self._carrier(k, trackers)
+        if carrier is not None:
+            track = trackers[carrier].track
+            assert track is not None
+            turn = entry.yaw - self._task.objects[carrier].yaw
+            return track.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
+        if entry.symmetry != (0.0,) or not mask.any():
+            return None
+        rows, columns = np.nonzero(mask)
+        middle = np.array([columns.mean(), rows.mean()]) + window.corner
+        sight = T_odom_optical[:3, :3] @ trackers[k].intrinsics.unproject(middle, np.array(1.0))
+        return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
 
 
 def sighting_of(tracker: Tracker) -> Sighting | None:

@@ -29,6 +29,7 @@ _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
 _PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
+_TURNED_AWAY = math.radians(100.0)  # further from how it roughly lies, an object is not taken to lie at first
 _SCALE_FLOOR, _SCALE_DRIFT = 1e-5, 0.05  # least doubt about depth's factor; share of the doubt that comes back a frame
 _RESTING = 0.0005, math.radians(0.1), 0.03  # m and rad a frame, share of the camera's motion that odometry misses
 _MOVING, _TURNING = 0.008, math.radians(3.0)  # m and rad a frame: more than a resting object seems to move
@@ -68,12 +69,13 @@ class Tracker:
     Attributes:
         shape: The object's shape as arrays.
         track: What is known of it; None before it was seen.
+        intrinsics: Of the images.
     """
 
     def __init__(self, mesh: ObjectMesh, intrinsics: Intrinsics, noise: DepthNoise | None = None) -> None:
         self.shape = fit.Shape(mesh)
         self.track: Track | None = None
-        self._intrinsics, self._noise = intrinsics, noise or DepthNoise()
+        self.intrinsics, self._noise = intrinsics, noise or DepthNoise()
         self._scale_sigma = max(self._noise.scale_sigma, _SCALE_FLOOR)
         self._unknown = np.diag([0.0] * 6 + [self._scale_sigma**-2])
         self._last = fit.Fit(np.eye(4), 1.0, self._unknown)
@@ -112,7 +114,7 @@ class Tracker:
         Returns:
             What is known now; None as long as it has never been seen.
         """
-        view = fit.make_view(depth, mask, window, self._intrinsics, self._noise, hiders)
+        view = fit.make_view(depth, mask, window, self.intrinsics, self._noise, hiders)
         if view.num_pixels < LEAST_PIXELS:
             return self._held(dt)
         result, quality, registered = None, None, False
@@ -143,16 +145,19 @@ class Tracker:
         return self.track
 
     def settle(self, T_odom_optical: np.ndarray, R_odom_object: np.ndarray) -> None:
-        """Choose anew among the poses that look the same, once it is known how the object lies.
+        """Choose anew among the poses that look the same, if another lies twice as near to how the object lies.
 
         Args:
             T_odom_optical: The camera's pose in odometry coordinates.
-            R_odom_object: (3, 3) roughly how it lies.
+            R_odom_object: (3, 3) how it lies.
         """
         if self.track is None:
             return
         T = self._like(poses.invert(T_odom_optical) @ self.track.T_odom_object, T_odom_optical[:3, :3].T, R_odom_object)
-        self.track = replace(self.track, T_odom_object=T_odom_optical @ T)
+        T_odom_object = T_odom_optical @ T
+        if _angle(T_odom_object, R_odom_object) > 0.5 * _angle(self.track.T_odom_object, R_odom_object):
+            return
+        self.track = replace(self.track, T_odom_object=T_odom_object)
         self._last = replace(self._last, T=T)
 
     def _held(self, dt: float) -> Track | None:
@@ -273,9 +278,13 @@ class Tracker:
         for _, _, T in sorted(rough, key=lambda entry: (-entry[0], entry[1]))[:_REFINED]:
             result = fit.fit(self.shape, T, view, self._nothing(T), _FINE_ITERATIONS, reach=12)
             quality = fit.assess(self.shape, result.T, view, result.scale)
+            result = replace(result, T=self._like(result.T, R_optical_odom, R_odom_object))
+            if not known and R_odom_object is not None:
+                if _angle(R_optical_odom.T @ result.T[:3, :3], R_odom_object) > _TURNED_AWAY:
+                    continue
             if quality.score > best_quality.score:
                 best, best_quality = result, quality
-        return replace(best, T=self._like(best.T, R_optical_odom, R_odom_object)), best_quality
+        return best, best_quality
 
     def _nothing(self, T: np.ndarray) -> fit.Prior:
         """Return the prior of who knows the depth camera only."""
@@ -300,10 +309,10 @@ class Tracker:
         """Return a pose of an orientation whose silhouette has the place and size of the mask."""
         rows, columns = np.nonzero(view.mask)
         low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
-        middle = self._intrinsics.unproject((low + high) / 2.0 + view.window.corner, np.array(1.0))
+        middle = self.intrinsics.unproject((low + high) / 2.0 + view.window.corner, np.array(1.0))
         turned = (self.shape.vertices - self.shape.middle) @ R_optical_object.T
         extent = np.ptp(turned[:, :2], axis=0)
-        z = float(np.min(self._intrinsics.focal * extent / np.maximum(high - low + 1, 1)))  # the less hidden way
+        z = float(np.min(self.intrinsics.focal * extent / np.maximum(high - low + 1, 1)))  # the less hidden way
         if self.shape.solid and len(view.points):
             z = float(np.median(view.points[:, 2])) - 0.5 * float(turned[:, 2].min())
         T = np.eye(4)
@@ -335,6 +344,11 @@ def _starts(R_odom_object: np.ndarray | None, known: bool) -> list[np.ndarray]:
     near = [poses.rotation_from_vector(tilt) @ R_odom_object for tilt in tilts]
     rest = NUM_STARTS - len(near)
     return near + [_about_z(2.0 * math.pi * k / rest) for k in range(rest)]
+
+
+def _angle(T: np.ndarray, R: np.ndarray) -> float:
+    """Return the angle between two orientations [rad]; a pose counts by its orientation."""
+    return float(np.linalg.norm(poses.rotation_vector(T[:3, :3] @ R.T)))
 
 
 def _about_z(angle: float) -> np.ndarray:

@@ -28,7 +28,7 @@ def open_replay(settings: Settings) -> Settings:
     return replace(
         settings,
         locomotion=replace(settings.locomotion, max_walks=1, accept_m=_ANYWHERE, accept_rad=_ANYWHERE),
-        adaptation=replace(settings.adaptation, squeeze=0.0, max_walks=1, accept_m=_ANYWHERE),
+        adaptation=replace(settings.adaptation, squeeze=0.0, leave_m=0.0, max_walks=1, accept_m=_ANYWHERE),
         grip=GripSettings(settle_ticks=0, grip_n=0.0, grip_ticks=1),
         playback=replace(
             settings.playback,

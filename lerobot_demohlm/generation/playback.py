@@ -18,6 +18,7 @@ from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.gripping import Gripping
 from lerobot_demohlm.generation.squeeze import Squeeze
+from lerobot_demohlm.generation.stance import Stance
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
     PRE_MANIPULATION,
@@ -99,6 +100,7 @@ class Playback:
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
         share = settings.adaptation.squeeze if settings.adapts else 0.0
         self._squeeze = Squeeze(world, task, demonstration, share, settings.adaptation.max_squeeze_m)
+        self._stance = Stance(settings.adaptation.leave_m if settings.adapts else 0.0, settings.locomotion.window_ticks)
         self._gripping = Gripping(world, task, demonstration, segments, settings.grip)
         self._switches = {entry.start for entry in segments if entry.start > 0} | self._gripping.switches
 
@@ -266,6 +268,7 @@ class Playback:
         for velocity in self._carrying.walk(tick):
             self._follow_base(tick)
             yield self._command(self._targets[tick], tick, velocity)
+        self._stance.leave()  # it stands for another part of the demonstration now
 
     def _await_torso(self, tick: int) -> Iterator[np.ndarray]:
         """Wait until the torso has bent so far that hands close to their objects are where they should be by now.
@@ -393,7 +396,10 @@ class Playback:
                     )
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
-        if velocity is not None and velocity.any():
+        if velocity is None or not velocity.any():
+            result[command.VELOCITY] = self._stance.velocity(self.world.pose("pelvis"), self._floor_d(tick))
+        else:
+            self._stance.leave()
             result[command.VELOCITY] = velocity
             result[command.HEIGHT] = max(result[command.HEIGHT], self.settings.walk_height)
             result[command.PITCH] = min(result[command.PITCH], self.settings.walk_pitch)

@@ -133,12 +133,14 @@ class AdaptationSettings:
         squeeze: Force with which two palms press on the thing between them, as a multiple of the demonstrated one; 0
             repeats the demonstrated motion instead.
         max_squeeze_m: Largest distance by which that moves the target of a palm [m].
+        leave_m: Distance from where it stood at which a robot that acts with its hands steps back there [m]; 0 never.
         max_walks: Number of walks to a place before the attempt gives up.
         accept_m: Largest distance from the goal of a walk at which a robot that stands still goes on.
     """
 
     squeeze: float = 2.0
     max_squeeze_m: float = 0.04
+    leave_m: float = 0.08
     max_walks: int = 6
     accept_m: float = 0.08
 

@@ -1,0 +1,58 @@
+"""Where a robot came to stand and where it is -> velocities that bring it back: a base does not stay where it stopped.
+
+A push moves the base. So does a controller whose gyroscope errs, whose motors are weak or late, or whose arms hold
+more than it was told of: it steps to balance, a few centimetres each second. Hands that reach for the same place from
+further and further away bend the torso, which makes it worse.
+"""
+
+import numpy as np
+
+from gym_demohlm import poses
+from gym_demohlm.arithmetic import norm
+from lerobot_demohlm.generation.locomotion import BaseEstimate
+
+_GAIN = np.array([1.2, 1.2, 1.4])  # m/s, m/s and rad/s a metre or radian
+_LIMIT = np.array([0.25, 0.2, 0.4])  # m/s, m/s, rad/s
+_LEAST = np.array([0.10, 0.10, 0.15])  # m/s, m/s, rad/s: a slower step does not move the base
+_BACK = 0.35  # share of the distance at which it sets off, within which it stands again
+_RAD_PER_M = 2.0  # a turn of the base by 1 rad counts as much as a way of half a metre
+
+
+class Stance:
+    """Keeps one base where it stands.
+
+    Args:
+        leave_m: Distance from there at which it steps back [m]; 0 lets it go.
+        window_ticks: Period of the gait, whose sway is no error.
+    """
+
+    def __init__(self, leave_m: float, window_ticks: int) -> None:
+        self._leave, self._window = leave_m, window_ticks
+        self._motion: np.ndarray | None = None  # (4, 4) from the demonstrated floor plane to this one
+        self._base = BaseEstimate(window_ticks)
+        self._steps = False
+
+    def leave(self) -> None:
+        """Forget the place: the base walks."""
+        self._motion, self._steps = None, False
+        self._base = BaseEstimate(self._window)
+
+    def velocity(self, T_world_pelvis: np.ndarray, T_floor_base: np.ndarray) -> np.ndarray:
+        """Return the velocity (3,) of this tick [m/s, m/s, rad/s], in the base's frame; zero where it may stand.
+
+        Args:
+            T_world_pelvis: (4, 4) now. The first one after ``leave`` is where it is to stay.
+            T_floor_base: (4, 4) the demonstrated base on its floor plane: a base that bends moves by itself.
+        """
+        self._base.update(T_world_pelvis)
+        here = poses.planar(*self._base.position)
+        if self._motion is None:
+            self._motion = here @ poses.invert(T_floor_base)
+        error = poses.to_planar(poses.invert(here) @ self._motion @ T_floor_base)
+        apart = max(float(norm(error[:2])), abs(float(error[2])) / _RAD_PER_M)
+        self._steps = self._leave > 0.0 and apart > (_BACK if self._steps else 1.0) * self._leave
+        if not self._steps:
+            return np.zeros(3)
+        wanted = np.clip(_GAIN * error, -_LIMIT, _LIMIT)
+        scale = float(np.max(np.abs(wanted) / _LEAST))
+        return wanted / min(scale, 1.0)
