@@ -18,7 +18,6 @@ from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.gripping import Gripping
 from lerobot_demohlm.generation.squeeze import Squeeze
-from lerobot_demohlm.generation.stance import Stance
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
     PRE_MANIPULATION,
@@ -27,6 +26,7 @@ from lerobot_demohlm.generation.stages import (
     StageError,
     first_approach,
 )
+from lerobot_demohlm.generation.stance import Stance
 from lerobot_demohlm.generation.world_view import WorldView
 
 NO_HIGHER_M = 0.005  # above the demonstrated height, up to which a thing began there
@@ -144,9 +144,13 @@ class Playback:
     @property
     def delicate(self) -> bool:
         """Whether the last command has to do with a touch, a grip or a release, and is to be executed as planned."""
+        return self._near_switch or self.activity not in ("transit", "follow", "walk on")
+
+    @property
+    def _near_switch(self) -> bool:
+        """Whether the last command was just before or after a touch, a grip or a release."""
         before, after = self.settings.delicate_ticks
-        near = any(-before <= self.tick - switch <= after for switch in self._switches)
-        return near or self.activity not in ("transit", "follow", "walk on")
+        return any(-before <= self.tick - switch <= after for switch in self._switches)
 
     def withdraw(self, settings: RetreatSettings) -> Iterator[np.ndarray]:
         """Yield commands that open the grippers and take the hands back the way they came."""
@@ -397,7 +401,8 @@ class Playback:
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
         if velocity is None or not velocity.any():
-            result[command.VELOCITY] = self._stance.velocity(self.world.pose("pelvis"), self._floor_d(tick))
+            still = self._near_switch or self.activity in ("settle", "grip")
+            result[command.VELOCITY] = self._stance.velocity(self.world.pose("pelvis"), self._floor_d(tick), still)
         else:
             self._stance.leave()
             result[command.VELOCITY] = velocity

@@ -28,31 +28,41 @@ class Stance:
 
     def __init__(self, leave_m: float, window_ticks: int) -> None:
         self._leave, self._window = leave_m, window_ticks
-        self._motion: np.ndarray | None = None  # (4, 4) from the demonstrated floor plane to this one
+        self._stood: np.ndarray | None = None  # (4, 4) on the floor plane
+        self._motion = np.eye(4)  # from the demonstrated floor plane to this one
         self._base = BaseEstimate(window_ticks)
         self._steps = False
 
     def leave(self) -> None:
         """Forget the place: the base walks."""
-        self._motion, self._steps = None, False
+        self._stood, self._steps = None, False
         self._base = BaseEstimate(self._window)
 
-    def velocity(self, T_world_pelvis: np.ndarray, T_floor_base: np.ndarray) -> np.ndarray:
+    def velocity(self, T_world_pelvis: np.ndarray, T_floor_base: np.ndarray, still: bool = False) -> np.ndarray:
         """Return the velocity (3,) of this tick [m/s, m/s, rad/s], in the base's frame; zero where it may stand.
 
         Args:
             T_world_pelvis: (4, 4) now. The first one after ``leave`` is where it is to stay.
-            T_floor_base: (4, 4) the demonstrated base on its floor plane: a base that bends moves by itself.
+            T_floor_base: (4, 4) the demonstrated base on its floor plane. A base that bends moves by itself: it may be
+                where it stood, and where the demonstrated one would be by now.
+            still: Whether the hands touch or let go now: it does not step then.
         """
         self._base.update(T_world_pelvis)
         here = poses.planar(*self._base.position)
-        if self._motion is None:
-            self._motion = here @ poses.invert(T_floor_base)
-        error = poses.to_planar(poses.invert(here) @ self._motion @ T_floor_base)
-        apart = max(float(norm(error[:2])), abs(float(error[2])) / _RAD_PER_M)
-        self._steps = self._leave > 0.0 and apart > (_BACK if self._steps else 1.0) * self._leave
+        if self._stood is None:
+            self._stood, self._motion = here, here @ poses.invert(T_floor_base)
+        places = (self._stood, self._motion @ T_floor_base)
+        errors = [poses.to_planar(poses.invert(here) @ place) for place in places]
+        error = min(errors, key=_distance)
+        apart = _distance(error)
+        self._steps = not still and self._leave > 0.0 and apart > (_BACK if self._steps else 1.0) * self._leave
         if not self._steps:
             return np.zeros(3)
         wanted = np.clip(_GAIN * error, -_LIMIT, _LIMIT)
         scale = float(np.max(np.abs(wanted) / _LEAST))
         return wanted / min(scale, 1.0)
+
+
+def _distance(error: np.ndarray) -> float:
+    """Return how far a base (3,) x, y, yaw is off [m]; a turn counts as a way."""
+    return max(float(norm(error[:2])), abs(float(error[2])) / _RAD_PER_M)
