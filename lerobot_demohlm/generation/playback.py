@@ -144,13 +144,9 @@ class Playback:
     @property
     def delicate(self) -> bool:
         """Whether the last command has to do with a touch, a grip or a release, and is to be executed as planned."""
-        return self._near_switch or self.activity not in ("transit", "follow", "walk on")
-
-    @property
-    def _near_switch(self) -> bool:
-        """Whether the last command was just before or after a touch, a grip or a release."""
         before, after = self.settings.delicate_ticks
-        return any(-before <= self.tick - switch <= after for switch in self._switches)
+        near = any(-before <= self.tick - switch <= after for switch in self._switches)
+        return near or self.activity not in ("transit", "follow", "walk on")
 
     def withdraw(self, settings: RetreatSettings) -> Iterator[np.ndarray]:
         """Yield commands that open the grippers and take the hands back the way they came."""
@@ -401,7 +397,7 @@ class Playback:
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
         if velocity is None or not velocity.any():
-            still = self._near_switch or self.activity in ("settle", "grip")
+            still = self.activity in ("settle", "grip")
             result[command.VELOCITY] = self._stance.velocity(self.world.pose("pelvis"), self._floor_d(tick), still)
         else:
             self._stance.leave()

@@ -1,0 +1,62 @@
+"""A base that left its place is led back; one that stands, sways or moves as demonstrated is let be."""
+
+import numpy as np
+import pytest
+
+from gym_demohlm import poses
+from lerobot_demohlm.generation.stance import Stance
+
+THERE = poses.planar(0.4, -0.3, 0.7)
+
+
+def velocities(stance: Stance, way: np.ndarray, demonstrated: np.ndarray | None = None) -> np.ndarray:
+    """Return the velocities (T, 3) for bases that are moved by (T, 3) in their own frame."""
+    demonstrated = np.zeros_like(way) if demonstrated is None else demonstrated
+    return np.array(
+        [
+            stance.velocity(THERE @ poses.planar(*moved), poses.planar(*shown))
+            for moved, shown in zip(way, demonstrated, strict=True)
+        ]
+    )
+
+
+def creep(distance: float, axis: int, ticks: int = 40) -> np.ndarray:
+    way = np.zeros((ticks, 3))
+    way[:, axis] = np.linspace(0.0, distance, ticks)
+    return way
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_base_that_creeps_away_is_led_back(axis: int, sign: int) -> None:
+    found = velocities(Stance(0.1, 7), creep(sign * (0.4 if axis == 2 else 0.2), axis))
+    assert not found[:15].any()
+    assert np.sign(found[-1, axis]) == -sign
+    others = np.delete(found[-1], axis)
+    assert np.abs(others).max() < 0.05
+
+
+def test_it_stands_again_once_it_is_back() -> None:
+    away = creep(-0.2, 0)
+    found = velocities(Stance(0.1, 7), np.concatenate([away, away[::-1], np.zeros((10, 3))]))
+    assert found.any(axis=1).sum() > 10
+    assert not found[-10:].any()
+
+
+def test_a_base_that_sways_or_bends_as_demonstrated_is_let_be() -> None:
+    sway = 0.06 * np.sin(np.arange(60))[:, None] * [0.0, 1.0, 0.0]
+    assert not velocities(Stance(0.1, 7), sway).any()
+    bent = creep(-0.15, 0)
+    assert not velocities(Stance(0.1, 7), bent, bent).any()
+
+
+def test_what_leaves_its_place_on_purpose_stays_where_it_comes_to_stand() -> None:
+    stance = Stance(0.1, 7)
+    velocities(stance, creep(0.05, 0))
+    stance.leave()
+    elsewhere = np.tile([1.0, 0.5, 0.2], (20, 1))
+    assert not velocities(stance, elsewhere).any()
+
+
+def test_without_a_distance_it_is_let_go() -> None:
+    assert not velocities(Stance(0.0, 7), creep(-1.0, 0)).any()
