@@ -140,7 +140,7 @@ class AdaptationSettings:
 
     squeeze: float = 2.0
     max_squeeze_m: float = 0.04
-    leave_m: float = 0.10
+    leave_m: float = 0.16
     max_walks: int = 6
     accept_m: float = 0.08
 
