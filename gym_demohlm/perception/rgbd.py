@@ -126,10 +126,11 @@ class RgbdPerceiver(SeeingPerceiver):
             tracker, motions = trackers[k], hand_motions(trackers[k], eyes.palms, palms)
             if motions:
                 memory.touched.add(k)
-            lies = self._lies(k, trackers, T_odom_optical, found[k], frame.window)
+            carried = self._carried(k, trackers)
+            lies = self._faces(k, tracker, T_odom_optical, found[k], frame.window) if carried is None else carried
             tracker.update(depth, found[k], frame.window, T_odom_optical, STEP_DT, motions, in_front[k], lies)
-            if lies is not None and self._carrier(k, trackers) is not None and k not in memory.touched:
-                tracker.settle(T_odom_optical, lies)
+            if carried is not None and k not in memory.touched:
+                tracker.settle(T_odom_optical, carried)
         return [sighting_of(tracker) for tracker in trackers]
 
     def _masks(
@@ -184,32 +185,28 @@ class RgbdPerceiver(SeeingPerceiver):
         right, bottom = np.max(high, axis=0).astype(int).tolist()
         return camera.Window(left=left, top=top, width=right - left, height=bottom - top)
 
-    def _carrier(self, k: int, trackers: list[Tracker]) -> int | None:
-        """Return which object carries an object and was seen, or None."""
-        carrier = self._task.objects[k].moves_with
-        if carrier is None:
+    def _carried(self, k: int, trackers: list[Tracker]) -> np.ndarray | None:
+        """Return how (3, 3) an object lies on what carries it, in odometry coordinates; None before that was seen."""
+        entry = self._task.objects[k]
+        if entry.moves_with is None:
             return None
-        index = [entry.name for entry in self._task.objects].index(carrier)
-        return None if trackers[index].track is None else index
+        carrier = [other.name for other in self._task.objects].index(entry.moves_with)
+        track = trackers[carrier].track
+        if track is None:
+            return None
+        turn = entry.yaw - self._task.objects[carrier].yaw
+        return track.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
 
-    def _lies(
-        self, k: int, trackers: list[Tracker], T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
+    def _faces(
+        self, k: int, tracker: Tracker, T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
     ) -> np.ndarray | None:
-        """Return roughly how an object lies at first (3, 3): as what carries it, or seen from its front; or None.
-
-        Odometry coordinates.
-        """
-        entry, carrier = self._task.objects[k], self._carrier(k, trackers)
-        if carrier is not None:
-            track = trackers[carrier].track
-            assert track is not None
-            turn = entry.yaw - self._task.objects[carrier].yaw
-            return track.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
+        """Return roughly how (3, 3) an object lies, in odometry coordinates, as its front is seen; None for any yaw."""
+        entry = self._task.objects[k]
         if entry.symmetry != (0.0,) or not mask.any():
             return None
         rows, columns = np.nonzero(mask)
         middle = np.array([columns.mean(), rows.mean()]) + window.corner
-        sight = T_odom_optical[:3, :3] @ trackers[k].intrinsics.unproject(middle, np.array(1.0))
+        sight = T_odom_optical[:3, :3] @ tracker.intrinsics.unproject(middle, np.array(1.0))
         return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
 
 

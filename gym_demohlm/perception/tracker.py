@@ -29,7 +29,7 @@ _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
 _PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
-_TURNED_AWAY = math.radians(100.0)  # further from how it roughly lies, an object is not taken to lie at first
+_TURNED_AWAY = math.radians(100.0)  # the largest angle, at first, from how an object roughly lies
 _SCALE_FLOOR, _SCALE_DRIFT = 1e-5, 0.05  # least doubt about depth's factor; share of the doubt that comes back a frame
 _RESTING = 0.0005, math.radians(0.1), 0.03  # m and rad a frame, share of the camera's motion that odometry misses
 _MOVING, _TURNING = 0.008, math.radians(3.0)  # m and rad a frame: more than a resting object seems to move
@@ -69,7 +69,7 @@ class Tracker:
     Attributes:
         shape: The object's shape as arrays.
         track: What is known of it; None before it was seen.
-        intrinsics: Of the images.
+        intrinsics: Of the images, as far as the robot knows them.
     """
 
     def __init__(self, mesh: ObjectMesh, intrinsics: Intrinsics, noise: DepthNoise | None = None) -> None:

@@ -1,6 +1,7 @@
 """The tracker on drawn frames: without noise, hidden and found again, and whatever way the camera looks."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -102,6 +103,35 @@ def test_an_object_that_is_hidden_is_held_and_found_again_where_it_is_then(stage
     stage.put(start)
     assert held[0] < 15.0
     assert track is not None and track.valid and moved[0] < 8.0 and moved[1] < 8.0
+
+
+def test_a_thing_slipped_to_a_lookalike_is_settled_and_a_doubtful_one_is_left(stage: Stage) -> None:
+    tracker = Tracker(stage.mesh, stage.visual.intrinsics, d435.NO_NOISE)
+    frame = stage.look(d435.NO_NOISE, np.random.default_rng(0), 0.0)
+    track = tracker.update(*frame, 0.1)
+    assert track is not None
+    seen, T_odom_optical = track.T_odom_object, frame[-1]
+    for degrees, kept in ((0.0, True), (-30.0, True), (-40.0, True), (-55.0, True), (-65.0, False), (-90.0, False)):
+        lies = (seen @ poses.planar(0.0, 0.0, np.radians(degrees)))[:3, :3]
+        tracker.settle(T_odom_optical, lies)
+        assert tracker.track is not None
+        turned = float(
+            np.degrees(np.linalg.norm(poses.rotation_vector(tracker.track.T_odom_object[:3, :3] @ seen[:3, :3].T)))
+        )
+        assert abs(turned - (0.0 if kept else 90.0)) < 1.0, degrees
+        tracker.settle(T_odom_optical, seen[:3, :3])
+
+
+def test_a_thing_is_not_taken_for_one_that_faces_away(stage: Stage) -> None:
+    """A mesh that is not known to look the same from behind is found as it roughly lies, or not at all."""
+    alone = replace(stage.mesh, symmetries=np.eye(3)[None])
+    for turn in (0.0, np.pi / 2, np.pi):
+        tracker = Tracker(alone, stage.visual.intrinsics, d435.NO_NOISE)
+        lies = (stage.pose() @ poses.planar(0.0, 0.0, turn))[:3, :3]
+        frame = stage.look(d435.NO_NOISE, np.random.default_rng(0), 0.0)
+        track = tracker.update(*frame, 0.1, R_odom_object=lies)
+        assert track is not None and track.valid
+        assert np.linalg.norm(poses.rotation_vector(track.T_odom_object[:3, :3] @ lies.T)) < np.radians(100.0)
 
 
 def test_a_mask_of_something_else_is_not_believed(stage: Stage) -> None:

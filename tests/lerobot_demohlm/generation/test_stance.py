@@ -60,3 +60,9 @@ def test_what_leaves_its_place_on_purpose_stays_where_it_comes_to_stand() -> Non
 
 def test_without_a_distance_it_is_let_go() -> None:
     assert not velocities(Stance(0.0, 7), creep(-1.0, 0)).any()
+
+
+def test_it_does_not_step_while_a_hand_settles_or_grips() -> None:
+    stance = Stance(0.1, 7)
+    assert velocities(stance, creep(-0.2, 0))[-1].any()
+    assert not stance.velocity(THERE @ poses.planar(-0.2, 0.0, 0.0), np.eye(4), still=True).any()
