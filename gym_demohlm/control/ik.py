@@ -76,9 +76,11 @@ class WholeBodyIK:
         self._rates[command.TORSO], self._rates[command.HEIGHT] = self.settings.torso_rate, self.settings.height_rate
         self._rates[command.ARMS] = self.settings.arm_rate
         self._straightest = np.where(_IS_ELBOW, self.settings.straightest_elbow, np.inf)
-        self._bounds = [(command.LOWER.copy(), command.UPPER), (_WALK_LOWER.copy(), _WALK_UPPER)]  # standing, walking
-        for low, _ in self._bounds:
+        standing, walking = (command.LOWER, command.UPPER), (_WALK_LOWER, _WALK_UPPER)
+        self._bounds = [(low.copy(), high.copy()) for low, high in (standing, walking)]
+        for low, high in self._bounds:
             low[command.PITCH] = max(low[command.PITCH], self.settings.furthest_back)
+            high[command.HEIGHT] = min(high[command.HEIGHT], self.settings.highest)
         qpos_address = {name: int(model.joint(_joint(name)).qposadr[0]) for name in g1.BODY_JOINTS}
         self._qpos = np.array([qpos_address[name] for name in g1.BODY_JOINTS])
         self._pelvis, self._torso = model.body("pelvis").id, model.body(_TORSO).id

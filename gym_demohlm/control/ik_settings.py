@@ -1,5 +1,6 @@
 """What the inverse kinematics of the upper body weighs against what, and how fast it may go."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -20,6 +21,7 @@ class IKSettings:
         yaw_weight: Pull of the torso yaw to straight ahead.
         roll_weight: Pull of the torso roll to zero.
         head_weight: Pull of the head to its target position, in the torso pass; the gaze controller turns it.
+        highest: Torso height beyond which it does not rise [m], if the command's bound is not lower.
         furthest_back: Torso pitch beyond which it does not lean back [rad]: no target in front needs it.
         straightest_elbow: Elbow angle that the torso pass counts on at most [rad] (straight is about 1.6): what is left
             makes up for a torso that does not get all the way.
@@ -43,6 +45,7 @@ class IKSettings:
     yaw_weight: float = 0.1
     roll_weight: float = 1.0
     head_weight: float = 1.0
+    highest: float = math.inf
     furthest_back: float = -0.1
     straightest_elbow: float = 1.0
     torso_posture_weight: float = 0.001

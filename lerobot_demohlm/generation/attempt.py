@@ -147,7 +147,7 @@ class Attempts:
         self._sim = sim or Simulation(self.task, num_worlds, controller=controller, variation=variation)
         self._judge = Judge(self._sim)
         self._sight = open_sight(self._sim, self.settings.variation.perception)
-        self.ik = WholeBodyIK(self._sim.model)
+        self.ik = WholeBodyIK(self._sim.model, self.settings.ik)
         self._num_ticks = round(task.episode_length_s / STEP_DT)
 
     def close(self) -> None:
@@ -274,7 +274,7 @@ class Attempts:
                 yield from self._try(attempt)
                 return
             except StageError as failure:
-                if not failure.again or attempt.retries == self.settings.variation.retries:
+                if not failure.again or attempt.retries == self.settings.retries:
                     raise
             attempt.retries += 1
             if attempt.playback is not None:

@@ -8,6 +8,7 @@ and executes what comes of it. What this generator adds, and ``open_replay`` tak
 - hands that wait for the torso;
 - walks with something in the hands that follow the demonstrated path;
 - grips that settle and are verified, and palms that press as hard as it takes;
+- bases that are led back to where they stood, and second tries;
 - attempts that end as soon as the hands trail behind.
 
 What stays is the robot's own posture, which inverse kinematics starts from, and the object's pose when a part begins.
@@ -18,7 +19,7 @@ import math
 from dataclasses import replace
 
 from gym_demohlm.task import Task
-from lerobot_demohlm.generation.stages import GripSettings, Settings
+from lerobot_demohlm.generation.stages import AdaptationSettings, GripSettings, Settings
 
 _ANYWHERE = math.inf  # m, rad: a limit that nothing exceeds
 
@@ -28,7 +29,16 @@ def open_replay(settings: Settings) -> Settings:
     return replace(
         settings,
         locomotion=replace(settings.locomotion, max_walks=1, accept_m=_ANYWHERE, accept_rad=_ANYWHERE),
-        adaptation=replace(settings.adaptation, squeeze=0.0, leave_m=0.0, max_walks=1, accept_m=_ANYWHERE),
+        adaptation=AdaptationSettings(
+            squeeze=0.0,
+            leave_m=_ANYWHERE,
+            holding_leave_m=_ANYWHERE,
+            highest_m=_ANYWHERE,
+            grip_n=0.0,
+            retries=0,
+            max_walks=1,
+            accept_m=_ANYWHERE,
+        ),
         grip=GripSettings(settle_ticks=0, grip_n=0.0, grip_ticks=1),
         playback=replace(
             settings.playback,

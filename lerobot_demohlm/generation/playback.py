@@ -1,5 +1,6 @@
 """A demonstration and one world -> the commands of pre-manipulation and manipulation, by inverse kinematics."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ from lerobot_demohlm.generation.stages import (
 from lerobot_demohlm.generation.stance import Stance
 from lerobot_demohlm.generation.world_view import WorldView
 
+_UPRIGHT = 0.98  # cosine of the tilt up to which a thing stands as it did
 NO_HIGHER_M = 0.005  # above the demonstrated height, up to which a thing began there
 
 
@@ -62,8 +64,8 @@ class Playback:
         stage: "pre_manipulation" or "manipulation".
         tick: Of the demonstration, which the last command was for.
         activity: What that command did: "follow" the demonstration, "transit" to where a part of it begins, "wait" for
-            the torso, "settle" a gripper, "grip" an object, "walk on", "hold" still at the end, or "withdraw" after a
-            failure.
+            the torso, "regain" the stance, "settle" a gripper, "grip" an object, "walk on", "hold" still at the end, or
+            "withdraw" after a failure.
         last_targets: (2, 4, 4) poses of the palms that it aimed at.
         error: (2,) what inverse kinematics left of the way to them [m].
         started: Segments that have begun, in the order of time.
@@ -100,8 +102,11 @@ class Playback:
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
         share = settings.adaptation.squeeze if settings.adapts else 0.0
         self._squeeze = Squeeze(world, task, demonstration, share, settings.adaptation.max_squeeze_m)
-        self._stance = Stance(settings.adaptation.leave_m if settings.adapts else 0.0, settings.locomotion.window_ticks)
-        self._gripping = Gripping(world, task, demonstration, segments, settings.grip)
+        self._adapts, self._adaptation = settings.adapts, settings.adaptation
+        self._places = {name: world.pose(name) if self._adapts else world.start_pose(name) for name in self._names}
+        self._regain_ticks = settings.adaptation.regain_ticks  # that are left
+        self._stance = Stance(settings.locomotion.window_ticks)
+        self._gripping = Gripping(world, task, demonstration, segments, settings.gripping)
         self._switches = {entry.start for entry in segments if entry.start > 0} | self._gripping.switches
 
     def run(self) -> Iterator[np.ndarray]:
@@ -126,6 +131,7 @@ class Playback:
             if self._carrying.begins(tick):
                 yield from self._carry(tick)
                 continue
+            yield from self._regain(tick)
             self._steer(tick)
             self.activity = "follow"
             velocity = self._base_path.velocity(tick, self._pelvis(tick))
@@ -297,6 +303,15 @@ class Playback:
         left = self._targets[last, hand, :3, 3] - self._targets[tick, hand, :3, 3]
         return float(norm(left)) < self.settings.close_m
 
+    def _regain(self, tick: int) -> Iterator[np.ndarray]:
+        """Hold the hands where they are while the base steps back to where it stood, before they touch anything."""
+        if self.stage != PRE_MANIPULATION:
+            return
+        while self._stance.steps and self._regain_ticks > 0:
+            self._regain_ticks -= 1
+            self.activity = "regain"
+            yield self._command(self.last_targets, tick)
+
     def _walk_on(self, tick: int) -> Iterator[np.ndarray]:
         """Walk what is left of a walk that ends with this tick."""
         self.activity = "walk on"
@@ -385,26 +400,37 @@ class Playback:
         self._trailing = self._trailing + 1 if self.error.max() > self.settings.hold_error_m else 0
         if self.stage == MANIPULATION and self._trailing >= self.settings.hold_ticks:
             raise StageError("ik_failed", self._out_of_reach(self.settings.hold_error_m, "while it holds on"))
-        if self.stage == PRE_MANIPULATION:
-            for name in self._names:
-                moved = self.world.object_displacement(name)
-                if moved > self.settings.displaced_m:
-                    raise StageError(
-                        "collided",
-                        f"the {name} was pushed {moved:.3f} m away before the hands took it (at most "
-                        f"{self.settings.displaced_m:g} m)",
-                    )
+        if self.stage == PRE_MANIPULATION and self.activity != "withdraw":
+            self._check_pushed()
         result = solution.command
         result[command.GRIPPERS] = self.demonstration.action[tick, command.GRIPPERS]
         if velocity is None or not velocity.any():
-            still = self.activity in ("settle", "grip")
-            result[command.VELOCITY] = self._stance.velocity(self.world.pose("pelvis"), self._floor_d(tick), still)
+            pelvis, expected = self.world.pose("pelvis"), self._floor_d(tick)
+            result[command.VELOCITY] = self._stance.velocity(pelvis, expected, self._leave_m())
         else:
             self._stance.leave()
             result[command.VELOCITY] = velocity
             result[command.HEIGHT] = max(result[command.HEIGHT], self.settings.walk_height)
             result[command.PITCH] = min(result[command.PITCH], self.settings.walk_pitch)
         return result
+
+    def _leave_m(self) -> float:
+        """Return how far the base may be from where it stood before it steps back [m]."""
+        if not self._adapts or self.activity in ("settle", "grip"):
+            return math.inf
+        return self._adaptation.leave_m if self.stage == PRE_MANIPULATION else self._adaptation.holding_leave_m
+
+    def _check_pushed(self) -> None:
+        for name in self._names:
+            motion = poses.invert(self._places[name]) @ self.world.pose(name)
+            moved = float(norm(motion[:3, 3]))
+            if moved > self.settings.displaced_m:
+                raise StageError(
+                    "collided",
+                    f"the {name} was pushed {moved:.3f} m away before the hands took it (at most "
+                    f"{self.settings.displaced_m:g} m)",
+                    again=self._adapts and motion[2, 2] > _UPRIGHT,  # one that lies on another side is another start
+                )
 
     def _check_reached(self) -> None:
         if self.error.max() > self.settings.reach_error_m:

@@ -13,6 +13,7 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
+from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.task import Task
 from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
@@ -133,14 +134,26 @@ class AdaptationSettings:
         squeeze: Force with which two palms press on the thing between them, as a multiple of the demonstrated one; 0
             repeats the demonstrated motion instead.
         max_squeeze_m: Largest distance by which that moves the target of a palm [m].
-        leave_m: Distance from where it stood at which a robot that acts with its hands steps back there [m]; 0 never.
+        leave_m: Distance from where it stood at which a robot that reaches for something steps back there [m].
+        holding_leave_m: The same of a robot that has taken hold: steps shake what it holds.
+        regain_ticks: Largest number of ticks for which the hands' motion waits for those steps, in all.
+        highest_m: Largest torso height [m]: with legs as good as straight, a robot that is not quite the modelled one
+            keeps stepping where it should stand, and drifts.
+        grip_n: Least normal force of a grip [N]; one that barely touches loses its object as it lifts it.
+        retries: Most times that an attempt begins again after it has missed its walk's goal, its reach or its grip, or
+            has pushed an object away; more where ``DataVariation.retries`` is more.
         max_walks: Number of walks to a place before the attempt gives up.
         accept_m: Largest distance from the goal of a walk at which a robot that stands still goes on.
     """
 
     squeeze: float = 2.0
     max_squeeze_m: float = 0.04
-    leave_m: float = 0.16
+    leave_m: float = 0.09
+    holding_leave_m: float = 0.16
+    regain_ticks: int = 50
+    highest_m: float = 0.742
+    grip_n: float = 8.0
+    retries: int = 2
     max_walks: int = 6
     accept_m: float = 0.08
 
@@ -176,6 +189,21 @@ class Settings:
         if not self.adapts:
             return self.locomotion
         return replace(self.locomotion, max_walks=self.adaptation.max_walks, accept_m=self.adaptation.accept_m)
+
+    @property
+    def gripping(self) -> GripSettings:
+        """How a gripper closes here."""
+        return replace(self.grip, grip_n=self.adaptation.grip_n) if self.adapts else self.grip
+
+    @property
+    def ik(self) -> IKSettings:
+        """How hands are brought to their targets here."""
+        return IKSettings(highest=self.adaptation.highest_m) if self.adapts else IKSettings()
+
+    @property
+    def retries(self) -> int:
+        """Most times that an attempt begins again here."""
+        return max(self.variation.retries, self.adaptation.retries if self.adapts else 0)
 
 
 class StageError(Exception):

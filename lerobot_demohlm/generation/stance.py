@@ -22,30 +22,32 @@ class Stance:
     """Keeps one base where it stands.
 
     Args:
-        leave_m: Distance from there at which it steps back [m]; 0 lets it go.
         window_ticks: Period of the gait, whose sway is no error.
+
+    Attributes:
+        steps: Whether it is on its way back.
     """
 
-    def __init__(self, leave_m: float, window_ticks: int) -> None:
-        self._leave, self._window = leave_m, window_ticks
+    def __init__(self, window_ticks: int) -> None:
+        self._window = window_ticks
         self._stood: np.ndarray | None = None  # (4, 4) on the floor plane
         self._motion = np.eye(4)  # from the demonstrated floor plane to this one
         self._base = BaseEstimate(window_ticks)
-        self._steps = False
+        self.steps = False
 
     def leave(self) -> None:
         """Forget the place: the base walks."""
-        self._stood, self._steps = None, False
+        self._stood, self.steps = None, False
         self._base = BaseEstimate(self._window)
 
-    def velocity(self, T_world_pelvis: np.ndarray, T_floor_base: np.ndarray, still: bool = False) -> np.ndarray:
+    def velocity(self, T_world_pelvis: np.ndarray, T_floor_base: np.ndarray, leave_m: float) -> np.ndarray:
         """Return the velocity (3,) of this tick [m/s, m/s, rad/s], in the base's frame; zero where it may stand.
 
         Args:
             T_world_pelvis: (4, 4) now. The first one after ``leave`` is where it is to stay.
             T_floor_base: (4, 4) the demonstrated base on its floor plane. A base that bends moves by itself: it may be
                 where it stood, and where the demonstrated one would be by now.
-            still: Whether the hands touch or let go now: it does not step then.
+            leave_m: Distance from there at which it steps back [m]; ``math.inf`` where it must not step now.
         """
         self._base.update(T_world_pelvis)
         here = poses.planar(*self._base.position)
@@ -55,8 +57,8 @@ class Stance:
         errors = [poses.to_planar(poses.invert(here) @ place) for place in places]
         error = min(errors, key=_distance)
         apart = _distance(error)
-        self._steps = not still and self._leave > 0.0 and apart > (_BACK if self._steps else 1.0) * self._leave
-        if not self._steps:
+        self.steps = apart > (_BACK if self.steps else 1.0) * leave_m
+        if not self.steps:
             return np.zeros(3)
         wanted = np.clip(_GAIN * error, -_LIMIT, _LIMIT)
         scale = float(np.max(np.abs(wanted) / _LEAST))

@@ -50,8 +50,3 @@ class WorldView:
     def contact_force(self, hand: str, name: str) -> float:
         """Return the normal force between a hand and an object [N]."""
         return float(self.sim.contact_force(hand, name)[self.index])
-
-    def object_displacement(self, name: str) -> float:
-        """Return how far an object is from where it started [m]."""
-        offset = self.pose(name)[:3, 3] - self.sim.start_pose(name)[self.index, :3, 3]
-        return float(norm(offset))

@@ -60,9 +60,6 @@ class FakeWorld:
     def joint_positions(self) -> np.ndarray:
         return g1.HOME
 
-    def object_displacement(self, name: str) -> float:
-        return 0.0
-
     def contact_force(self, hand: str, name: str) -> float:
         return self.grip_n
 
