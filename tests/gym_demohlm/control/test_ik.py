@@ -1,5 +1,7 @@
 """The whole-body inverse kinematics on a robot that obeys commands exactly: it reaches, stays in bounds, forgets."""
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
@@ -287,6 +289,17 @@ def test_settings_change_the_rates() -> None:
     solution = call(slow, who, around(0.35, 0.2))
     assert solution.command[command.HEIGHT] == pytest.approx(g1.PELVIS_HEIGHT - 0.01, abs=1e-9)
     assert solution.command[command.PITCH] == pytest.approx(0.02, abs=1e-9)
+
+
+def test_the_torso_rises_no_higher_than_the_settings_let_it() -> None:
+    heights = {}
+    for highest in (0.742, math.inf):
+        ik, who = WholeBodyIK(robot.robot_spec("rubber").compile(), IKSettings(highest=highest)), ObedientRobot()
+        for _ in range(10):
+            who.command = call(ik, who, around(0.35, 1.6)).command
+        heights[highest] = who.command[command.HEIGHT]
+    assert heights[0.742] == pytest.approx(0.742, abs=1e-9)
+    assert heights[math.inf] == pytest.approx(command.UPPER[command.HEIGHT], abs=1e-9)
 
 
 def test_torso_follows_the_head() -> None:

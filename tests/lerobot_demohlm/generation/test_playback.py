@@ -12,6 +12,7 @@ from gym_demohlm.control import command
 from gym_demohlm.control.ik import IKSolution
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
+from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
@@ -31,7 +32,7 @@ class FakeWorld:
         self.shift = poses.pose([0.0, 0.0, raised])  # of the objects
         self.names = [entry.name for entry in get_task(demonstration.task).objects]
         self.asked = demonstration.T_world_hands[0].copy()
-        self.last = command.rest()
+        self.last, self.pushed = command.rest(), np.eye(4)
         self.ik = SimpleNamespace(solve=self.solve)
 
     def solve(self, *, T_world_left: np.ndarray, T_world_right: np.ndarray, **_: object) -> IKSolution:
@@ -48,7 +49,7 @@ class FakeWorld:
 
     def pose(self, name: str) -> np.ndarray:
         if name == "pelvis":
-            return self.demonstration.T_world_pelvis[0]
+            return self.demonstration.T_world_pelvis[0] @ self.pushed
         return self.shift @ self.demonstration.T_world_objects[0, self.names.index(name)]
 
     def start_pose(self, name: str) -> np.ndarray:
@@ -231,3 +232,25 @@ def test_a_gripper_waits_until_it_is_there_and_must_press(grip_n: float) -> None
     assert outcome == ("finished" if grip_n else "dropped")
     assert error < 2 * settings.grip.settle_m
     assert sum(closed) > (0 if not grip_n else 50)
+
+
+@pytest.mark.parametrize(("varies", "comes_back"), [(True, True), (True, False), (False, False)])
+def test_hands_wait_while_a_base_that_was_pushed_comes_back(varies: bool, comes_back: bool) -> None:
+    """In worlds that vary; one that does not come back is waited for no longer than the settings say."""
+    demonstration = demonstrations.load(task=get_task("GraspCube"))
+    settings = Settings(variation=dataclasses.replace(PLAIN, variation="real" if varies else "none"))
+    world = FakeWorld(demonstration, 10.0)
+    made = playback(world, settings)
+    seen = []
+    for wanted in made.run():
+        seen.append((made.tick, made.activity, bool(wanted[command.VELOCITY].any())))
+        waited = sum(activity == "regain" for _, activity, _ in seen)
+        world.pushed = poses.planar(-0.15 if made.tick >= 10 and not (comes_back and waited > 20) else 0.0, 0.0, 0.0)
+        if made.tick > 25:
+            break
+    waits = [steps for _, activity, steps in seen if activity == "regain"]
+    assert len(waits) == 0 if not varies else 20 < len(waits) <= settings.adaptation.regain_ticks
+    assert (len(waits) == settings.adaptation.regain_ticks) == (varies and not comes_back)
+    assert sum(waits) >= len(waits) - 1  # all but the last of them are steps
+    assert any(steps for *_, steps in seen) == varies
+    assert seen[-1][2] == (varies and not comes_back)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation, StepResult
@@ -12,7 +13,7 @@ from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation import attempt, stages
-from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.attempt import Attempt, Attempts
 from lerobot_demohlm.generation.locomotion import LocomotionSettings
 from lerobot_demohlm.generation.stages import Settings
 
@@ -85,3 +86,24 @@ def test_hands_that_cannot_reach_are_taken_back_the_way_they_came() -> None:
     (episode,) = attempts.run([0])
     attempts.close()
     assert (episode.outcome, episode.stage, episode.retries) == ("ik_failed", stages.PRE_MANIPULATION, 1)
+
+
+@pytest.mark.parametrize(("variation", "tilt"), [("real:start", 0.0), ("real:start", np.pi / 2), ("none", 0.0)])
+def test_a_thing_that_was_pushed_away_is_taken_where_it_is(variation: str, tilt: float) -> None:
+    """In worlds that vary, and if it still stands as it did."""
+    pushed: list[int] = []
+
+    def push(attempt: Attempt, _: np.ndarray) -> None:
+        if attempt.stage == stages.PRE_MANIPULATION and not pushed:
+            sim, tilted = attempt.world.sim, poses.from_rotation(poses.rotation_from_rpy([tilt, 0.0, 0.0]), np.zeros(3))
+            pushed.append(len(attempt.action))
+            sim.set_pose("cube", poses.pose([-0.02, 0.07, 0.0]) @ sim.pose("cube") @ tilted, np.array([0]))
+
+    settings = Settings(variation=dataclasses.replace(PLAIN, variation=variation))
+    attempts = Attempts(TASK, demonstrations.load(task=TASK), "R1", 0, settings=settings, on_command=push)
+    (episode,) = attempts.run([0])
+    attempts.close()
+    again = variation != "none" and tilt == 0.0
+    assert (episode.outcome, episode.retries) == (("success", 1) if again else ("collided", 0))
+    if not again:
+        assert "the cube was pushed 0.07" in episode.reason
