@@ -59,7 +59,7 @@ that vary and of eyes that err say so; what follows is of the plain world, which
 - **Scripted demonstrations.** The one demonstration of each task was recorded by a script, not by a person.
 - **Friendly scenes.** Nothing lies around the objects, and the feet of pedestals do not collide.
 - **A generator that reacts.** It steers the hands, checks grips and may walk to the object up to four times; the
-  paper's generator replays without looking.
+  paper's generator replays without looking. In worlds that vary it also tries again, up to twice, what it missed.
 - **Not the paper's conditions.** The paper's numbers stand beside ours for orientation. Its simulator, robot model,
   controller and demonstrations are others.
 
@@ -78,8 +78,6 @@ def _generation(lines: Sequence[GenerationResult]) -> str:
         text = generated(line)
         if line.retries:
             text += f", with up to {line.retries} retries"
-            if line.first_try_successes is not None:
-                text += f"; {100 * line.first_try_successes / line.attempts:.1f} at the first try"
         if line.command_noise:
             text += f", with command noise {line.command_noise:g}"
         if line.start_spread != 1.0:

@@ -129,8 +129,11 @@ def strictly(rate: float | None) -> str:
 
 
 def generated(line: GenerationResult) -> str:
-    """Return the success rate of a line of generation with its interval, and that of strict successes."""
-    return share(line.successes, line.attempts) + strictly(line.strict_rate)
+    """Return the success rate of a line of generation with its interval, that of strict ones, and of first tries."""
+    text = share(line.successes, line.attempts) + strictly(line.strict_rate)
+    if line.first_try_successes is None or line.first_try_successes == line.successes:
+        return text
+    return f"{text}, at the first try {100 * line.first_try_successes / line.attempts:.1f}"
 
 
 def interval(mean: float, low: float, high: float) -> str:
