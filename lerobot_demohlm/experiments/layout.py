@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.experiments.plan import Cell, RegionCell, suffix
-from lerobot_demohlm.experiments.variants import PLAIN, VARIANTS, stamp
+from lerobot_demohlm.experiments.variants import PLAIN, sight, sight_stamp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,5 +61,5 @@ class Layout:
 
 def _stem(task: str, region: str, variant: str) -> str:
     """Return what the names of datasets begin with."""
-    made = stamp(task, VARIANTS[variant].variation)
+    made = sight_stamp(task, sight(variant))
     return "_".join((get_task(task).slug, region.lower(), *suffix(variant), made))

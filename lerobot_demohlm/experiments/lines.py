@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm import jsonl
-from lerobot_demohlm.experiments.variants import VARIANTS
+from lerobot_demohlm.experiments.variants import sight, sight_stamp, stamp
 from lerobot_demohlm.reproducibility.results import append_result
 
 
@@ -86,9 +86,14 @@ class PolicyResult(Result):
     train_samples_per_s: int
 
     @property
-    def variations(self) -> tuple[str, ...]:
-        """How worlds differed: those of its training data, and those of its rollouts."""
-        return VARIANTS[self.variant].variation, self.variation
+    def worlds(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Variation and perception of its training data, and of its rollouts."""
+        return sight(self.variant), (self.variation, self.perception)
+
+    @property
+    def stamp_now(self) -> str:
+        """What its ``stamp`` would be if it was measured now."""
+        return sight_stamp(self.task, *self.worlds)
 
     @property
     def is_plain(self) -> bool:
@@ -144,9 +149,9 @@ class GenerationResult(Result):
         return None if self.strict_successes is None else self.strict_successes / self.attempts
 
     @property
-    def variations(self) -> tuple[str, ...]:
-        """How worlds differed."""
-        return (self.variation,)
+    def stamp_now(self) -> str:
+        """What its ``stamp`` would be if it was measured now."""
+        return stamp(self.task, self.variation)
 
     @property
     def is_undisturbed(self) -> bool:

@@ -14,7 +14,7 @@ from gym_demohlm.variation import get_variation
 from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, PLAIN, VARIANTS, stamp
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, PLAIN, VARIANTS, sight, sight_stamp, stamp
 from lerobot_demohlm.policies.presets import POLICIES, get_preset
 
 REGIONS = ("R1", "R2", "R3")
@@ -131,12 +131,12 @@ class Cell:
     @property
     def data_stamp(self) -> str:
         """Return letters that change with what generation makes of its training data."""
-        return stamp(self.task, VARIANTS[self.variant].variation)
+        return sight_stamp(self.task, sight(self.variant))
 
     @property
     def stamp(self) -> str:
         """Return letters that change with what generation makes of its training data, and with its worlds."""
-        return stamp(self.task, VARIANTS[self.variant].variation, self.variation)
+        return sight_stamp(self.task, sight(self.variant), (self.variation, self.perception))
 
     @property
     def recipe(self) -> str:

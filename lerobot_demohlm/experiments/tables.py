@@ -11,7 +11,7 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PERCEPTIONS, REGIONS
-from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, VARIANTS, stamp
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, VARIANTS
 from lerobot_demohlm.policies.presets import POLICIES
 
 RESAMPLES = 10_000
@@ -35,13 +35,13 @@ class Stamped(Protocol):
         ...
 
     @property
-    def variations(self) -> tuple[str, ...]:
-        """How worlds differed."""
+    def stamp(self) -> str | None:
+        """Digest of what generation did with the task in its worlds; None where it was not written down."""
         ...
 
     @property
-    def stamp(self) -> str | None:
-        """Digest of what generation did with the task in them; None where it was not written down."""
+    def stamp_now(self) -> str:
+        """The same of today."""
         ...
 
 
@@ -84,10 +84,10 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
 def latest(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
     """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds."""
     lines = list(lines)
-    stamps = {(line.task, line.variations): line.stamp for line in lines}
+    stamps = {(line.task, line.worlds): line.stamp for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
     keys += ("variation", "perception")
-    current = [line for line in lines if line.stamp == stamps[line.task, line.variations]]
+    current = [line for line in lines if line.stamp == stamps[line.task, line.worlds]]
     return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
 
 
@@ -98,7 +98,7 @@ def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
 
 def age(line: Stamped) -> str:
     """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
-    return "" if line.stamp == stamp(line.task, *line.variations) else EARLIER
+    return "" if line.stamp == line.stamp_now else EARLIER
 
 
 def group(lines: Iterable[PolicyResult], *keys: str) -> dict[tuple[Any, ...], list[PolicyResult]]:

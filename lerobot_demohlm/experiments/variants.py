@@ -8,6 +8,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets import variation
+from lerobot_demohlm.datasets.facts import perception_fit
 from lerobot_demohlm.datasets.variation import DataVariation
 
 PLAIN = "plain"  # what lines without a variant are of, and what the table of regions counts
@@ -37,3 +38,20 @@ def stamp(task: str, *variations: str) -> str:
     """
     presets = sorted({re.split("[@:]", name)[0] for name in variations if get_variation(name)})
     return "".join([portability.stamp(get_task(task)), *map(portability.recipe, presets)])
+
+
+def sight(variant: str) -> tuple[str, str]:
+    """Return variation and perception of the training data of a variant."""
+    return VARIANTS[variant].variation, VARIANTS[variant].perception
+
+
+def sight_stamp(task: str, *worlds: tuple[str, str]) -> str:
+    """Return ``stamp`` and letters that change with the errors by which objects are seen, where a fit says these.
+
+    Args:
+        task: Name of the task.
+        worlds: Variation and perception of a result's training data, and of its rollouts.
+    """
+    data = [DataVariation(variation=variation, perception=perception) for variation, perception in worlds]
+    fits = sorted({perception_fit(get_task(task), entry.content())[:8] for entry in data})
+    return stamp(task, *(variation for variation, _ in worlds)) + "".join(fits)

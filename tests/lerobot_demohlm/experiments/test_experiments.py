@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.errors import DatasetError, PolicyError, UnknownNameError
+from gym_demohlm.perception.error_model import fitted_path, read_model
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.task import SCORING_SEEDS
 from gym_demohlm.variation.factors import GROUPS
@@ -25,7 +26,7 @@ from lerobot_demohlm.experiments.cells import _alone as run_alone
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PERCEPTIONS, STRENGTHS, Cell, RegionCell, plan
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
-from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, stamp
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, sight_stamp, stamp
 from lerobot_demohlm.generation.attempt import initial_state
 from tests.helpers.experiment_lines import CELL, layout, make_line
 from tests.helpers.synthetic import make_episode, make_facts
@@ -231,6 +232,23 @@ def test_a_stamp_is_of_what_generation_does(monkeypatch: pytest.MonkeyPatch) -> 
     recorded = demonstrations.load(None, task)
     monkeypatch.setattr(portability.demonstrations, "load", lambda *_: recorded)
     assert portability.stamp(harder) != found, "another condition of success is another behaviour"
+
+
+@pytest.mark.parametrize(
+    ("worlds", "fitted"),
+    [
+        ([("none", "exact"), ("none", "rgbd,masks=color")], False),
+        ([("none", "exact"), ("none", "model")], True),
+        ([("none", "model"), ("none", "exact")], True),
+        ([("real", "exact"), ("none", "exact")], True),
+        ([("none", "exact"), ("hard:objects", "exact")], False),
+    ],
+)
+def test_what_is_seen_by_a_fit_is_of_an_earlier_version_once_that_changes(
+    worlds: list[tuple[str, str]], fitted: bool
+) -> None:
+    letters = read_model(fitted_path(get_task("LiftBox")), get_task("LiftBox")).hash[:8] if fitted else ""
+    assert sight_stamp("LiftBox", *worlds) == stamp("LiftBox", *(variation for variation, _ in worlds)) + letters
 
 
 def test_a_training_has_a_place_of_its_own_by_its_steps(tmp_path: Path) -> None:
