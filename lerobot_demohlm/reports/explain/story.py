@@ -7,8 +7,8 @@ import numpy as np
 from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.timing import FPS, STEP_DT
+from lerobot_demohlm.generation.hand_targets import Started
 from lerobot_demohlm.generation.locomotion import LocomotionSettings
-from lerobot_demohlm.generation.playback import Started
 from lerobot_demohlm.reports.explain.trace import Trace
 
 _ANCHORS = {

@@ -17,7 +17,7 @@ from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
 from lerobot_demohlm.demonstrations.segmentation import contact_events
 from lerobot_demohlm.generation.attempt import Attempt, Attempts
-from lerobot_demohlm.generation.playback import Started
+from lerobot_demohlm.generation.hand_targets import Started
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings
 
