@@ -36,6 +36,7 @@ from lerobot_demohlm.experiments.tables import (
 from lerobot_demohlm.policies.presets import POLICIES
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
+VARIED = "real"  # worlds of the README's second column
 README_EPISODES = 1000  # training episodes of the policies in the README's table
 
 CAVEATS = """\
@@ -178,25 +179,31 @@ def readme_table(results: Path) -> str:
     ]
     cells = group(chosen, "task", "policy")
     attempted = {
-        result.task: result
+        (result.task, result.variation): result
         for result in read_generation(results / "generation.jsonl")
-        if result.is_plain and result.region == DEFAULT_REGION
+        if result.is_undisturbed and result.region == DEFAULT_REGION
     }
     rows = []
-    for task, theirs in paper.SUCCESS_BY_SIZE.items():
-        made = attempted.get(task)
+    for task in dict.fromkeys([*paper.SUCCESS_BY_SIZE, *sorted({name for name, _ in attempted})]):
+        made, varied = attempted.get((task, "none")), attempted.get((task, VARIED))
         scored = [cells.get((task, policy)) for policy in POLICIES]
         ages = [age(line) for line in (made, *(found[0] for found in scored if found)) if line is not None]
         row = [task + max(ages, default="")]
         row.append("-" if made is None else f"{100 * made.successes / made.attempts:.1f}{strictly(made.strict_rate)}")
         row += ["-" if not found else f"{100 * rate(found)[0]:.1f}{strictly(strict_rate(found))}" for found in scored]
-        rows.append([*row, number(paper.GENERATION.get((task, DEFAULT_REGION))), number(theirs[-1])])
+        row.insert(
+            2, "-" if varied is None or varied.strict_rate is None else f"{100 * varied.strict_rate:.1f}{age(varied)}"
+        )
+        row += [number(paper.GENERATION.get((task, DEFAULT_REGION))), number(paper.success(task, paper.SIZES[-1]))]
+        rows.append(row)
     attempts = " or ".join(map(str, sorted({made.attempts for made in attempted.values()}))) or "no"
     episodes = " or ".join(map(str, sorted({result.episodes for result in chosen}))) or "no"
-    header = ["task", "generation", "MLP", "ACT", "Diffusion", "paper: generation", "paper: ACT, 5000 episodes"]
+    header = ["task", "generation", f"in `{VARIED}` worlds", "MLP", "ACT", "Diffusion", "paper: generation"]
+    header.append("paper: ACT, 5000 episodes")
     text = (
         f"Success [%] in R3: {attempts} attempts of generation, and {episodes} rollouts of each policy after "
-        f"training on {README_EPISODES} episodes."
+        f"training on {README_EPISODES} episodes. In [`{VARIED}` worlds](docs/variation.md) objects, robot, "
+        "surroundings and pushes differ from attempt to attempt, and success is strict."
     )
     return f"{text}\n\n{markdown(header, rows)}"
 
