@@ -116,7 +116,7 @@ class GenerationResult(Result):
         first_try_successes: Attempts that succeeded without a retry.
         episode_s: Mean simulated time of a success [s]; None without a success.
         stamp: Digest of what generation did with the task; None in the oldest lines.
-        retries: How often an attempt might begin again.
+        retries: How often an attempt might begin again by ``--retries``; in worlds that vary it may twice in any case.
         command_noise: Scale of the noise that commands carried.
         start_spread: Factor by which the region's ranges of the robot's pose were widened.
         stance_spread: Scale of how far off the robot stood when it began to act on the object.
@@ -155,7 +155,7 @@ class GenerationResult(Result):
 
     @property
     def is_undisturbed(self) -> bool:
-        """Tell whether its attempts are what tables count: nothing disturbed, one try, objects seen as they are."""
+        """Tell whether its attempts are what tables count: no noise, no tries beyond the usual ones, exact poses."""
         knobs = (self.retries, self.command_noise, self.start_spread, self.stance_spread, self.perception)
         return knobs == (0, 0.0, 1.0, 0.0, "exact")
 

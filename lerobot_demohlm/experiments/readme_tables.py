@@ -203,7 +203,7 @@ def readme_table(results: Path) -> str:
     text = (
         f"Success [%] in R3: {attempts} attempts of generation, and {episodes} rollouts of each policy after "
         f"training on {README_EPISODES} episodes. In [`{VARIED}` worlds](docs/variation.md) objects, robot, "
-        "surroundings and pushes differ from attempt to attempt, and success is strict."
+        "surroundings and pushes differ from attempt to attempt, success is strict, and the robot may try twice more."
     )
     return f"{text}\n\n{markdown(header, rows)}"
 

@@ -130,7 +130,7 @@ class HandTargets:
         for hand in {*self._carrying.hands(tick), *self.motions}:
             self._targets[tick, hand, :3, 3] += self._shift[hand]
 
-    def motion(self, name: str, tick: int) -> np.ndarray:
+    def object_motion(self, name: str, tick: int) -> np.ndarray:
         """Return the motion (4, 4) of an object from where it was at a tick of the demonstration to where it is."""
         T_W_Od, T_W_O = self._demonstration.T_world_objects[tick, self._names.index(name)], self._world.pose(name)
         return retarget.scene_motion(T_W_Od, T_W_O, self._symmetry(name, T_W_Od, T_W_O, tick))

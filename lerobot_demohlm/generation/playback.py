@@ -192,7 +192,7 @@ class Playback:
     def _settle(self, tick: int) -> Iterator[np.ndarray]:
         """Wait until hands are beside their objects as they were in the demonstration, moving targets as it takes."""
         self.activity = "settle"
-        for targets in self._gripping.settle(tick, self._hands.last, self._hands.motion):
+        for targets in self._gripping.settle(tick, self._hands.last, self._hands.object_motion):
             yield self._command(targets, tick - 1)
 
     def _verify_grip(self, tick: int) -> Iterator[np.ndarray]:

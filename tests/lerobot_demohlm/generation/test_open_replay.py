@@ -7,6 +7,7 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
+from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.generation.locomotion import walk
@@ -22,6 +23,7 @@ def test_it_keeps_the_variation_and_changes_every_loop() -> None:
         assert getattr(found, name) != getattr(ours, name)
     assert found.playback.transit_speed == ours.playback.transit_speed
     assert found.walking.max_walks == 1
+    assert (found.gripping.grip_n, found.retries, found.ik) == (0.0, 0, IKSettings())
 
 
 def test_one_walk_must_do() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
+from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation, StepResult
 from lerobot_demohlm.datasets.episode import Episode
@@ -86,6 +87,16 @@ def test_hands_that_cannot_reach_are_taken_back_the_way_they_came() -> None:
     (episode,) = attempts.run([0])
     attempts.close()
     assert (episode.outcome, episode.stage, episode.retries) == ("ik_failed", stages.PRE_MANIPULATION, 1)
+
+
+def test_worlds_that_vary_have_their_own_limits_and_no_fewer_tries_than_asked() -> None:
+    plain, varied = (Settings(variation=dataclasses.replace(PLAIN, variation=name)) for name in ("none", "real:robot"))
+    assert (plain.gripping, plain.ik, plain.retries) == (plain.grip, IKSettings(), 0)
+    assert varied.gripping == dataclasses.replace(plain.grip, grip_n=varied.adaptation.grip_n)
+    assert varied.ik == IKSettings(highest=varied.adaptation.highest_m)
+    assert varied.retries == varied.adaptation.retries
+    more = varied.adaptation.retries + 1
+    assert dataclasses.replace(varied, variation=dataclasses.replace(varied.variation, retries=more)).retries == more
 
 
 @pytest.mark.parametrize(("variation", "tilt"), [("real:start", 0.0), ("real:start", np.pi / 2), ("none", 0.0)])
