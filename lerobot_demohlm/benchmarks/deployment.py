@@ -232,8 +232,7 @@ def stand_and_run(deployment: Deployment, robot: RobotProcess) -> float:
                 remedy = "measure on a machine that is less busy"
                 raise RobotError(deployment.reason or str(error), "a robot that stands", remedy) from error
     time.sleep(SETTLE_S)
-    deployment.request(Mode.RUN)
-    deployment.wait_for(Mode.RUN, 5.0)
+    deployment.run(PATIENCE_S)
     return time.monotonic()
 
 

@@ -14,12 +14,12 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
 from lerobot_demohlm.devices.mirror import Mirror
 from lerobot_demohlm.hardware import remote, robot_observation
-from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.deployment import ASK_AGAIN_S, Deployment, DeploymentSettings
 from lerobot_demohlm.hardware.records import Mode
 
 BALANCE_S = 3.0  # that it stands before it runs
 PATIENCE_S = 30.0
-_PAUSE_S, _ASK_AGAIN_S = 0.02, 1.0
+_PAUSE_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +86,12 @@ class DdsRobot:
         state, pose, servos = (self._deployment.read(name) for name in ("state", "pose", "servos"))
         if state is None:
             raise DeviceError("no state of the robot", "500 a second", "see `demohlm robot-check`")
-        objects = np.zeros(9 * self._objects, np.float32)
+        neck_and_jaws, objects = None if servos is None else servos.value, np.zeros(9 * self._objects, np.float32)
         if pose is not None:
-            objects = robot_observation.environment_state(pose.value, self._objects)
+            objects = robot_observation.environment_state(pose.value, state.value, neck_and_jaws, self._objects)
         return DdsSeen(
             step=self._step,
-            state=robot_observation.agent_pos(state.value, None if servos is None else servos.value),
+            state=robot_observation.agent_pos(state.value, neck_and_jaws),
             environment_state=objects,
         )
 
@@ -135,7 +135,7 @@ class DdsRobot:
                 )
             if now > next_time and self._deployment.mode == Mode.DAMP:
                 self._deployment.request(Mode.STAND)
-                next_time = now + _ASK_AGAIN_S
+                next_time = now + ASK_AGAIN_S
             time.sleep(_PAUSE_S)
         time.sleep(BALANCE_S)
 
@@ -143,8 +143,7 @@ class DdsRobot:
         """Run, from rest until an action comes."""
         self._allow("A")
         self._deployment.write_command(command.rest(), -1, 0)
-        self._deployment.request(Mode.RUN)
-        self._deployment.wait_for(Mode.RUN, 5.0)
+        self._deployment.run(PATIENCE_S)
 
     def _allow(self, button: str) -> None:
         """Wait for a button of a real robot's remote.

@@ -1,7 +1,7 @@
 """What a robot at the other end of a network tells of itself -> a scene in which a teleoperator sees it.
 
 A robot measures its joints and how it is tilted, not where it is. Here it stands on the foot that is lower, and what
-it does is counted from there: leg odometry, without the physics. Objects are where the pose source sees them.
+it does is counted from there, see ``hardware.odometry``. Objects are where the pose source sees them.
 """
 
 import threading
@@ -23,8 +23,6 @@ from lerobot_demohlm.hardware import robot_observation
 from lerobot_demohlm.hardware.slots import Reading
 from lerobot_demohlm.teleop.realtime import RealTimeWorld
 from lerobot_demohlm.teleop.recorder import scene_view
-
-_STEP_M = 0.001  # m that a sole must be below the other to take over as the one that stands
 
 
 class Mirror:
@@ -60,7 +58,6 @@ class Mirror:
             self._step, self._new = 0, True
             self.sim.reset([self.task.default_state()])
             self._objects: dict[str, np.ndarray] = {}
-            self._support, self._anchor = 0, np.zeros(2)
             self._show()
             self.seen = self._look()
             return self.seen
@@ -88,11 +85,13 @@ class Mirror:
         view, state = scene_view(self.sim, self._step), self._read("state")
         servos, pose = self._read("servos"), self._read("pose")
         sensed = np.zeros(len(observation.STATE_NAMES), np.float32)
-        if state is not None:
-            sensed = robot_observation.agent_pos(state.value, None if servos is None else servos.value)
         objects = np.zeros(9 * len(self.task.objects), np.float32)
-        if pose is not None:
-            objects = robot_observation.environment_state(pose.value, len(self.task.objects))
+        if state is not None:
+            neck_and_jaws = None if servos is None else servos.value
+            sensed = robot_observation.agent_pos(state.value, neck_and_jaws)
+            if pose is not None:
+                count = len(self.task.objects)
+                objects = robot_observation.environment_state(pose.value, state.value, neck_and_jaws, count)
         return Seen(
             episode=self._episode,
             step=self._step,
@@ -116,40 +115,27 @@ class Mirror:
             places = [*servos.value["neck"], *servos.value["jaws"][: len(jaws)]]
             for joint, place in zip((*neck.NECK_JOINTS, *jaws), places, strict=True):
                 self.sim.set_joint(f"{joint}_joint", float(place))
-        self._stand(state.value["quat_wxyz"])
+        self._stand(state.value["T_odometry_pelvis"])
         pose = self._read("pose")
         if pose is not None:
-            self._see(pose.value)
+            objects = robot_observation.objects(pose.value, state.value, None if servos is None else servos.value)
+            self._see(objects, pose.value["valid"])
 
-    def _stand(self, quat_wxyz: np.ndarray) -> None:
-        """Put the pelvis where the foot that stands has not moved."""
-        T_world_pelvis = self.sim.pose("pelvis")[0]
-        measured = poses.pose(np.zeros(3), quat_wxyz)
-        if self._new:  # headings count from here
-            x, y, yaw = self.task.default_state()["robot"]
-            self._turned = poses.planar(0.0, 0.0, yaw - poses.to_planar(measured)[2])
-            T_world_pelvis[:2, 3] = x, y
-        T_world_pelvis[:3, :3] = (self._turned @ measured)[:3, :3]
-        self.sim.set_pose("pelvis", T_world_pelvis)
-        soles = np.stack([self.sim.pose(f"{side}_sole")[0, :3, 3] for side in g1.SIDES])
+    def _stand(self, T_odometry_pelvis: np.ndarray) -> None:
+        """Put the pelvis where odometry has it; an episode begins where the task has the robot."""
         if self._new:
-            self._support = int(np.argmin(soles[:, 2]))
-            self._anchor, self._new = soles[self._support, :2].copy(), False
-        T_world_pelvis[:2, 3] += self._anchor - soles[self._support, :2]
-        T_world_pelvis[2, 3] -= soles[:, 2].min()
-        other = 1 - self._support
-        if soles[other, 2] < soles[self._support, 2] - _STEP_M:
-            self._anchor = self._anchor + soles[other, :2] - soles[self._support, :2]
-            self._support = other
-        self.sim.set_pose("pelvis", T_world_pelvis)
+            begun = poses.planar(*poses.to_planar(T_odometry_pelvis))
+            self._T_world_odometry = poses.planar(*self.task.default_state()["robot"]) @ poses.invert(begun)
+            self._new = False
+        self.sim.set_pose("pelvis", self._T_world_odometry @ T_odometry_pelvis)
 
-    def _see(self, pose: np.void) -> None:
+    def _see(self, T_camera_objects: np.ndarray, valid: np.ndarray) -> None:
         """Put objects where they are seen; what is not seen stays."""
         T_world_camera = self.sim.pose("head_camera")[0]
         for index, entry in enumerate(self.task.objects):
-            if not pose["valid"][index]:
+            if not valid[index]:
                 continue
-            T_world_object = T_world_camera @ pose["T_camera_object"][index]
+            T_world_object = T_world_camera @ T_camera_objects[index]
             if not self._objects:
                 self._place_tables(T_world_object[:3, 3] - self.sim.pose(entry.name)[0, :3, 3])
             self._objects[entry.name] = T_world_object

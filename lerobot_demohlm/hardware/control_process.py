@@ -21,13 +21,14 @@ from gym_demohlm.errors import CommandError
 from gym_demohlm.registry import get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
-from lerobot_demohlm.hardware import records, remote
+from lerobot_demohlm.hardware import records, remote, robot_observation
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.following import CommandFollower, NeckFollower
 from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowCmd
 from lerobot_demohlm.hardware.limits import COMMAND_TIMEOUT_S, RAMP_S, Ages, Limits
 from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link
 from lerobot_demohlm.hardware.machine import Request, StateMachine, Watched
+from lerobot_demohlm.hardware.odometry import LegOdometry
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.safety import SafetyFilter, Wanted
 from lerobot_demohlm.hardware.state_watch import StateWatch
@@ -85,7 +86,7 @@ class ControlProcess:
         gains = self._controller.settings
         self._kp, self._kd = np.array(gains.stiffness), np.array(gains.damping)
         self._gaze = [entry.name for entry in task.objects].index(task.gaze_target)
-        self._watch = StateWatch(settings.limits)
+        self._watch, self._odometry = StateWatch(settings.limits), LegOdometry()
         self._machine = StateMachine(limits=settings.limits, ages=settings.ages, sleep_limit=COMMAND_TIMEOUT_S)
         self._slots = {name: records.slot(settings.folder, name) for name in records.RECORDS}
         self._follower, self._neck = CommandFollower(command.rest()), NeckFollower()
@@ -237,23 +238,26 @@ class ControlProcess:
         self._slots["servo_goals"].write(records.record("servo_goals"))
 
     def _send_servos(self, now: np.ndarray) -> None:
-        pose, target = self._slots["pose"].read(), None
-        if pose is not None and pose.age_s < self._settings.ages.pose and pose.value["valid"][self._gaze]:
-            target = pose.value["T_camera_object"][self._gaze, :3, 3]
-        goals = records.record(
-            "servo_goals", neck=self._neck.tick(target), grippers=now[command.GRIPPERS], enabled=True
-        )
+        pose, state, servos = (self._slots[name].read() for name in ("pose", "state", "servos"))
+        target, lost = None, self._seen.pose > self._settings.ages.pose
+        if pose is not None and state is not None and not lost and pose.value["valid"][self._gaze]:
+            seen = robot_observation.objects(pose.value, state.value, None if servos is None else servos.value)
+            target = seen[self._gaze, :3, 3]
+        searches = lost and self._seen.policy < np.inf  # who has no policy needs no object
+        neck = self._neck.tick(target, searches=searches)
+        goals = records.record("servo_goals", neck=neck, grippers=now[command.GRIPPERS], enabled=True)
         self._slots["servo_goals"].write(goals)
 
     def _tell_state(self) -> None:
         state = self._watch.state
         assert state is not None
         joints = slice(0, NUM_JOINTS)
+        pelvis, torso = self._odometry.update(state.q[joints], state.quat_wxyz)
         value = records.record(
             "state", tick=state.tick, q=state.q[joints], dq=state.dq[joints], tau=state.tau[joints],
             quat_wxyz=state.quat_wxyz, gyro=state.gyro, accelerometer=state.accelerometer,
             temperature=state.temperature[joints].max(axis=1), mode_machine=state.mode_machine,
-            buttons=remote.buttons(state.remote),
+            buttons=remote.buttons(state.remote), T_odometry_pelvis=pelvis, T_odometry_torso=torso,
         )  # fmt: skip
         self._slots["state"].write(value, self._watch.time_ns)
 

@@ -35,6 +35,7 @@ from lerobot_demohlm.hardware.slots import Reading
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 READY_S = 600.0  # that processes may take to load
+ASK_AGAIN_S = 1.0  # after which a robot that does not run is asked to again
 OPERATOR_S = 0.05  # between signs of life of the operator
 FACTS = "deployment.json"
 _GO = "go"  # a file: everything but the controller is ready
@@ -220,6 +221,23 @@ class Deployment:
             if time.monotonic() > until:
                 raise RobotError(f"{self.mode.name}: {self.reason}", mode.name, "see what holds it back")
             time.sleep(0.005)
+
+    def run(self, timeout_s: float) -> None:
+        """Run; asks again while something is missing that may still come, such as an object that is not found yet.
+
+        Raises:
+            RobotError: It does not run within the time.
+        """
+        until = time.monotonic() + timeout_s
+        while True:
+            self.request(Mode.RUN)
+            try:
+                self.wait_for(Mode.RUN, min(ASK_AGAIN_S, timeout_s))
+            except RobotError:
+                if time.monotonic() > until:
+                    raise
+            else:
+                return
 
     def apply(self, fault: Fault) -> None:
         """Have something happen to a process: "kill", "stop" or "full_disk"."""

@@ -11,6 +11,12 @@ from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.simulation.simulation import MAX_ARM_SPEED
 from gym_demohlm.timing import STEP_DT, TICKS
 
+SEARCH = np.array(
+    [[0.0, 0.55], [1.2, 0.55], [-1.2, 0.55], [-1.2, 0.05], [1.2, 0.05], [1.2, 1.05], [-1.2, 1.05], [0.0, 1.05]]
+)
+"""(n, 2) yaw and pitch of a neck that searches [rad]: tables first, then the horizon, then the floor."""
+SEARCH_SPEED = 0.8  # rad/s
+
 
 class CommandFollower:
     """What is followed now.
@@ -48,23 +54,39 @@ class CommandFollower:
 
 
 class NeckFollower:
-    """Turns the neck towards the gaze target, in steps of 0.1 s over five ticks each, as ``Simulation`` does."""
+    """Turns the neck towards the gaze target, in steps of 0.1 s over five ticks each, as ``Simulation`` does.
+
+    A simulation begins with a neck that looks at the target already. A robot has to find it: while it is not seen, the
+    neck looks along ``SEARCH``, again and again.
+    """
 
     def __init__(self) -> None:
         self._gaze = GazeController()
         self._before = self._next = np.zeros(2)
-        self._ticks = TICKS
+        self._ticks, self._leg = TICKS, 0
 
-    def tick(self, p_camera_target: np.ndarray | None) -> np.ndarray:
+    def tick(self, p_camera_target: np.ndarray | None, *, searches: bool = False) -> np.ndarray:
         """Return the angles (2,) of the next tick [rad].
 
         Args:
             p_camera_target: (3,) where the target was seen in the frame ``head_camera`` [m]; None while it is not.
+            searches: Whether to look for a target that is not seen; otherwise the neck rests until it is.
         """
         if self._ticks == TICKS:
             self._before, self._ticks = self._next, 0
             if p_camera_target is not None:
                 self._next = self._gaze.step(self._before[None], p_camera_target[None], STEP_DT)[0]
+                self._leg = 0
+            elif searches:
+                self._next = self._search()
         self._ticks += 1
         share = self._ticks / TICKS
         return (1.0 - share) * self._before + share * self._next
+
+    def _search(self) -> np.ndarray:
+        """Return the next angles (2,) on the way along ``SEARCH`` [rad]."""
+        way = SEARCH[self._leg] - self._before
+        step = SEARCH_SPEED * STEP_DT
+        if np.abs(way).max() <= step:
+            self._leg = (self._leg + 1) % len(SEARCH)
+        return self._before + np.clip(way, -step, step)

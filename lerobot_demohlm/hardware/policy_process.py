@@ -132,7 +132,8 @@ class PolicyProcess:
     def _act(self, due: float) -> bool:
         """Act once; returns whether a run has begun with it."""
         control, state, pose = (self._slots[name].read() for name in ("control", "state", "pose"))
-        servos = self._slots["servos"].read()
+        read = self._slots["servos"].read()
+        servos = None if read is None else read.value
         if control is None or state is None or pose is None or int(control.value["mode"]) != Mode.RUN:
             if control is None or int(control.value["mode"]) != Mode.RUN:
                 self._slots["policy"].write(records.record("policy", episode=self._episode, run_ns=-1))
@@ -142,10 +143,10 @@ class PolicyProcess:
             self._run_ns, self._step = int(control.value["since_ns"]), 0
             self._episode += 1
             self._loaded.policy.reset()
-        began = time.perf_counter()
+        began, count = time.perf_counter(), len(self._task.objects)
         seen = {
-            "agent_pos": robot_observation.agent_pos(state.value, None if servos is None else servos.value)[None],
-            "environment_state": robot_observation.environment_state(pose.value, len(self._task.objects))[None],
+            "agent_pos": robot_observation.agent_pos(state.value, servos)[None],
+            "environment_state": robot_observation.environment_state(pose.value, state.value, servos, count)[None],
         }
         wanted = act(self._loaded, seen, self._task.description)[0].astype(np.float64)
         if np.isfinite(wanted).all():

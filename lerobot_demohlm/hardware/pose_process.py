@@ -18,6 +18,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import DOMAIN, Link
+from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.pose_sources import Look, Source, WorldSource
 
 WITH_CAMERA = ("apriltag", "remote")
@@ -76,7 +77,8 @@ class PoseProcess:
 
     def __init__(self, settings: PoseSettings) -> None:
         task = get_task(settings.task)
-        self._slot, self._stop = records.slot(settings.folder, "pose"), False
+        self._slots = {name: records.slot(settings.folder, name) for name in ("pose", "state", "servos")}
+        self._stop = False
         self._source = make_source(settings, task)
 
     def run(self) -> None:
@@ -85,12 +87,17 @@ class PoseProcess:
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
         due = time.monotonic()
         while not self._stop:
-            began = time.perf_counter()
+            began, camera = time.perf_counter(), self._camera()
             look = self._source()
-            if look is not None:
-                self._slot.write(_record(look, time.perf_counter() - began), look.time_ns)
+            if look is not None and camera is not None:
+                self._slots["pose"].write(_record(look, time.perf_counter() - began, camera), look.time_ns)
             due = max(due + PERIOD_S, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
+
+    def _camera(self) -> np.ndarray | None:
+        """Return where the head camera is now (4, 4) in the frame "odometry"; None before the robot has told."""
+        state, servos = self._slots["state"].read(), self._slots["servos"].read()
+        return None if state is None else odometry_camera(state.value, None if servos is None else servos.value)
 
 
 def make_source(settings: PoseSettings, task: Task) -> Source:
@@ -108,11 +115,11 @@ def make_source(settings: PoseSettings, task: Task) -> Source:
     return TagSource(task, settings.tags, camera)
 
 
-def _record(look: Look, looking_s: float) -> np.void:
+def _record(look: Look, looking_s: float, T_odometry_camera: np.ndarray) -> np.void:
     seen = look.estimate
     count = seen.valid.shape[1]
     value = np.zeros((), records.RECORDS["pose"])
-    value["T_camera_object"][:] = np.eye(4)
+    value["T_camera_object"][:], value["T_odometry_camera"] = np.eye(4), T_odometry_camera
     value["T_camera_object"][:count], value["valid"][:count] = seen.T_camera_object[0], seen.valid[0]
     value["age_s"][:count], value["looking_s"] = seen.age_s[0], looking_s
     return value[()]  # pyright: ignore[reportReturnType]

@@ -34,6 +34,7 @@ RECORDS: dict[str, np.dtype] = {
         ("tick", "<u4"), ("q", "<f8", _JOINTS), ("dq", "<f8", _JOINTS), ("tau", "<f8", _JOINTS),
         ("quat_wxyz", "<f8", 4), ("gyro", "<f8", 3), ("accelerometer", "<f8", 3),
         ("temperature", "<i2", _JOINTS), ("mode_machine", "u1"), ("buttons", "<u2"),
+        ("T_odometry_pelvis", "<f8", (4, 4)), ("T_odometry_torso", "<f8", (4, 4)),
     ]),
     # Of the control process: what it does, why, and what it sent; ages in s when it decided.
     "control": np.dtype([
@@ -50,10 +51,10 @@ RECORDS: dict[str, np.dtype] = {
         ("state_ns", "<i8"), ("pose_ns", "<i8"),
         ("inference_s", "<f8"), ("observed_state", "<f4", 68), ("observed_objects", "<f4", 9 * MAX_OBJECTS),
     ]),
-    # Of the pose source: objects in the frame head_camera.
+    # Of the pose source: objects in the frame head_camera, and where that was when it looked.
     "pose": np.dtype([
         ("T_camera_object", "<f8", (MAX_OBJECTS, 4, 4)), ("valid", "?", MAX_OBJECTS), ("age_s", "<f8", MAX_OBJECTS),
-        ("looking_s", "<f8"),
+        ("looking_s", "<f8"), ("T_odometry_camera", "<f8", (4, 4)),
     ]),
     # Of the one who operates: what is asked for; an e-stop stays one.
     "operator": np.dtype([("mode", "u1"), ("number", "<u4"), ("estop", "?"), ("source", "S32")]),

@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from gym_demohlm import poses
 from gym_demohlm.control import attitude, features
 from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.robot import g1
+from lerobot_demohlm.hardware.odometry import odometry_camera
 
 _WAIST = slice(len(g1.LEG_JOINTS), len(g1.LEG_JOINTS) + len(g1.WAIST_JOINTS))
 
@@ -26,14 +28,30 @@ def agent_pos(state: np.void, servos: np.void | None) -> np.ndarray:
     return np.concatenate(columns).astype(np.float32)
 
 
-def environment_state(pose: np.void, count: int) -> np.ndarray:
+def objects(pose: np.void, state: np.void, servos: np.void | None) -> np.ndarray:
+    """Return where objects are from the head camera as it is now, (MAX_OBJECTS, 4, 4).
+
+    A look at them is some ten milliseconds old, and the head has moved since: odometry tells how.
+
+    Args:
+        pose: A record "pose".
+        state: A record "state".
+        servos: A record "servos"; a neck at zero without one.
+    """
+    T_camera_then = poses.invert(odometry_camera(state, servos)) @ pose["T_odometry_camera"]
+    return T_camera_then @ pose["T_camera_object"]
+
+
+def environment_state(pose: np.void, state: np.void, servos: np.void | None, count: int) -> np.ndarray:
     """Return the tracked objects, (9 count,) float32, see ``observation.environment_features``.
 
     Args:
         pose: A record "pose".
+        state: A record "state".
+        servos: A record "servos"; a neck at zero without one.
         count: Of the task's objects.
     """
-    T = pose["T_camera_object"][None, :count]
+    T = objects(pose, state, servos)[None, :count]
     shape = T.shape[:2]
     estimate = PoseEstimate(
         T_camera_object=T, valid=np.ones(shape, bool), age_s=np.zeros(shape), inliers=np.ones(shape)

@@ -10,6 +10,7 @@ from gym_demohlm import poses
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.hardware import records
+from lerobot_demohlm.hardware.odometry import LegOdometry, odometry_camera
 from lerobot_demohlm.hardware.slots import Reading
 
 _made = 0
@@ -41,6 +42,7 @@ class Told:
         self.sim = Simulation(get_task(task))
         self.sim.reset([self.sim.task.default_state() | {"object": [0.0, dz, 0.0]}])
         self.hidden: tuple[str, ...] = ()
+        self._odometry = LegOdometry()
 
     def read(self, name: str) -> Reading | None:
         """Return the newest value of a record."""
@@ -50,13 +52,16 @@ class Told:
     def _state(self) -> np.void:
         # An IMU's heading is from wherever it was switched on.
         turned = poses.planar(0.0, 0.0, 1.0) @ self.sim.pose("pelvis")[0]
-        return records.record("state", q=self.sim.joint_positions[0], quat_wxyz=poses.split(turned)[1])
+        q, quat_wxyz = self.sim.joint_positions[0], poses.split(turned)[1]
+        pelvis, torso = self._odometry.update(q, quat_wxyz)
+        return records.record("state", q=q, quat_wxyz=quat_wxyz, T_odometry_pelvis=pelvis, T_odometry_torso=torso)
 
     def _servos(self) -> np.void:
         return records.record("servos", neck=self.sim.neck_positions[0], jaws=self.sim.gripper_positions[0])
 
     def _pose(self) -> np.void:
         value = np.zeros((), records.RECORDS["pose"])
+        value["T_odometry_camera"] = odometry_camera(self._state(), self._servos())
         T_camera_world = poses.invert(self.sim.pose("head_camera")[0])
         for index, entry in enumerate(self.sim.task.objects):
             value["T_camera_object"][index] = T_camera_world @ self.sim.pose(entry.name)[0]

@@ -8,9 +8,9 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import CommandError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.timing import TICKS
+from gym_demohlm.timing import CONTROL_DT, TICKS
 from lerobot_demohlm.hardware import records, robot_observation
-from lerobot_demohlm.hardware.following import CommandFollower, NeckFollower
+from lerobot_demohlm.hardware.following import SEARCH, SEARCH_SPEED, CommandFollower, NeckFollower
 
 
 def test_commands_are_those_of_a_simulation() -> None:
@@ -72,3 +72,22 @@ def test_a_robot_senses_what_a_simulation_does(name: str) -> None:
     sensed, expected = robot_observation.agent_pos(state, servos), observation.agent_pos(sim)[0]
     sim.close()
     np.testing.assert_allclose(sensed, expected, atol=2e-6)
+
+
+def test_a_neck_that_searches_sees_every_direction_and_turns_to_what_it_finds() -> None:
+    neck, looked = NeckFollower(), []
+    for _ in range(40 * 50):
+        looked.append(neck.tick(None, searches=True))
+    ways = np.array(looked)
+    assert np.abs(np.diff(ways, axis=0)).max() <= SEARCH_SPEED * CONTROL_DT + 1e-9
+    for corner in SEARCH:
+        assert np.abs(ways - corner).max(axis=1).min() < 0.01
+    found = neck.tick(np.array([1.0, 0.5, 0.0]))
+    for _ in range(20):
+        found = neck.tick(np.array([1.0, 0.5, 0.0]))
+    assert found[0] > ways[-1, 0] + 0.3  # it turns left, where the target is
+
+
+def test_a_neck_that_sees_nothing_and_does_not_search_rests() -> None:
+    neck = NeckFollower()
+    assert not any(neck.tick(None).any() for _ in range(50))

@@ -21,9 +21,10 @@ from gym_demohlm.perception.tag_file import read_tags
 from gym_demohlm.perception.wire import Request
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.hardware import robot_observation, world_topic
+from lerobot_demohlm.hardware import records, robot_observation, world_topic
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import WORLD, Link
+from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.pose_process import PoseSettings, _record
 from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource
 from tests.helpers.pose_servers import replying, told
@@ -45,8 +46,10 @@ def test_exact_poses_of_another_processes_world_are_those_of_the_environment() -
         time.sleep(0.02)
         look = source()
     assert look is not None
-    seen = robot_observation.environment_state(_record(look, 0.0), len(TASK.objects))
-    np.testing.assert_array_equal(seen, observation.environment_state(sim)[0])
+    state = records.record("state", T_odometry_torso=np.eye(4))
+    record = _record(look, 0.0, odometry_camera(state, None))
+    seen = robot_observation.environment_state(record, state, None, len(TASK.objects))
+    np.testing.assert_allclose(seen, observation.environment_state(sim)[0], atol=1e-6)
     sim.close()
 
 
