@@ -24,6 +24,7 @@ BAUD = 1_000_000
 PERIOD_S = 0.02
 _PROTOCOL = 2.0
 _PINGS = 20
+_WAIT_S = 0.002  # that a read may wait for bytes; the SDK counts its own time-outs of some 35 ms
 _POSITION, _VELOCITY = servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY
 
 
@@ -48,6 +49,7 @@ class DynamixelBus:
             )  # fmt: skip
         try:
             self._port.setBaudRate(BAUD)
+            self._port.ser.timeout = _WAIT_S  # the SDK would ask without a pause, and take half of a core
         except (OSError, serial.SerialException) as error:
             raise RobotError(f"{port}: {error}", "a serial port of 1 Mbit/s", "check --servo-port") from error
         self._writer = sdk.GroupSyncWrite(self._port, self._packets, servo_units.GOAL_POSITION, 4)
