@@ -86,13 +86,16 @@ class PoseProcess:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
         due = time.monotonic()
-        while not self._stop:
-            began, camera = time.perf_counter(), self._camera()
-            look = self._source()
-            if look is not None and camera is not None:
-                self._slots["pose"].write(_record(look, time.perf_counter() - began, camera), look.time_ns)
-            due = max(due + PERIOD_S, time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
+        try:
+            while not self._stop:
+                began, camera = time.perf_counter(), self._camera()
+                look = self._source()
+                if look is not None and camera is not None:
+                    self._slots["pose"].write(_record(look, time.perf_counter() - began, camera), look.time_ns)
+                due = max(due + PERIOD_S, time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+        finally:
+            self._source.close()
 
     def _camera(self) -> np.ndarray | None:
         """Return where the head camera is now (4, 4) in the frame "odometry"; None before the robot has told."""

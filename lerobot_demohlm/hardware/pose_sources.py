@@ -6,9 +6,9 @@ its tag finder and its pose client look at the pictures of a camera.
 
 import time
 import uuid
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -43,8 +43,16 @@ class Look:
         return None if not np.isfinite(age_s) else cls(estimate=estimate, time_ns=now_ns - round(1e9 * age_s))
 
 
-Source = Callable[[], Look | None]
-"""Returns the newest look; None where there is no new one."""
+class Source(Protocol):
+    """What looks at the objects."""
+
+    def __call__(self) -> Look | None:
+        """Return the newest look; None where there is no new one."""
+        ...
+
+    def close(self) -> None:
+        """Give back what it looks with."""
+        ...
 
 
 class WorldSource:
@@ -74,6 +82,11 @@ class WorldSource:
             self._episode = episode
             self._perceiver.begin(np.array([0]), [episode])
         return Look.of(self._perceiver.observe(self._sim, np.array([0])), time_ns)
+
+    def close(self) -> None:
+        """Give back what draws the world."""
+        self._perceiver.close()
+        self._sim.close()
 
 
 class _Seen:
@@ -138,6 +151,10 @@ class TagSource:
                 self._seen.add(index, T_CAMERA_OPTICAL @ found[0], now)
         return self._seen.look(now)
 
+    def close(self) -> None:
+        """Give back the camera."""
+        self._camera.close()
+
 
 class ServerSource:
     """Sends a camera's pictures to a pose server, which finds the objects in them by itself.
@@ -191,3 +208,8 @@ class ServerSource:
             if answer.valid:
                 self._seen.add(index, poses.invert(T_OPTICAL_CAMERA) @ answer.T_optical_object, taken)
         return self._seen.look(taken)
+
+    def close(self) -> None:
+        """Give back the camera, and the connection to the server."""
+        self._client.close()
+        self._camera.close()

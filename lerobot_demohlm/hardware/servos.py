@@ -49,6 +49,7 @@ class DynamixelBus:
             )  # fmt: skip
         try:
             self._port.setBaudRate(BAUD)
+            assert self._port.ser is not None  # it is open now
             self._port.ser.timeout = _WAIT_S  # the SDK would ask without a pause, and take half of a core
         except (OSError, serial.SerialException) as error:
             raise RobotError(f"{port}: {error}", "a serial port of 1 Mbit/s", "check --servo-port") from error
