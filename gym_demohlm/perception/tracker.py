@@ -81,6 +81,7 @@ class Tracker:
         self._last = fit.Fit(np.eye(4), 1.0, self._unknown)
         self._T_odom_optical = np.eye(4)  # when it was last seen
         self._moving, self._motion = False, np.eye(4)  # in odometry coordinates, from frame to frame
+        self._found_in_part = False  # registered as the image's border cut it off; to be done again in full view
 
     def expected(self, T_odom_optical: np.ndarray) -> np.ndarray | None:
         """Return where the object should be, ``T_optical_object``, or None before it was seen."""
@@ -117,15 +118,16 @@ class Tracker:
         view = fit.make_view(depth, mask, window, self.intrinsics, self._noise, hiders)
         if view.num_pixels < LEAST_PIXELS:
             return self._held(dt)
-        result, quality, registered = None, None, False
+        result, quality, registered, whole = None, None, False, self._is_whole(view)
         if self.track is not None and self.track.age_s <= _FORGET_S:
             result, quality = self._follow(view, T_odom_optical, hand_motions)
-        if quality is None or not _believed(quality):
+        if quality is None or not _believed(quality) or (whole and self._found_in_part):
             found, found_quality = self.register(view, T_odom_optical, R_odom_object)
             if quality is None or found_quality.score > quality.score + _PREFERENCE:
                 result, quality, registered = found, found_quality, True
         if result is None or not _believed(quality):
             return self._held(dt)
+        self._found_in_part = (registered or self._found_in_part) and not whole
         T_odom_object = T_odom_optical @ result.T
         self._moving, self._motion = False, np.eye(4)
         if self.track is not None and self.track.valid and not registered:
@@ -266,8 +268,9 @@ class Tracker:
             Of all poses that look the same the one that lies most like the default, and its quality.
         """
         R_optical_odom = T_odom_optical[:3, :3].T
-        known = self.track is not None
-        if self.track is not None:
+        known = self.track is not None and not self._found_in_part
+        if known:
+            assert self.track is not None
             R_odom_object = self.track.T_odom_object[:3, :3]
         rough = []
         for start in _starts(R_odom_object, known):
@@ -284,7 +287,23 @@ class Tracker:
                     continue
             if quality.score > best_quality.score:
                 best, best_quality = result, quality
+        if known:  # most things are still where they were
+            still = self.expected(T_odom_optical)
+            assert still is not None
+            prior = self._prior(still, T_odom_optical, handled=True)
+            result = fit.fit(self.shape, still, view, prior, _FINE_ITERATIONS, reach=12)
+            quality = fit.assess(self.shape, result.T, view, result.scale)
+            if quality.score > best_quality.score - _PREFERENCE:
+                best, best_quality = result, quality
         return best, best_quality
+
+    def _is_whole(self, view: fit.View) -> bool:
+        """Return whether the image's border cuts nothing off."""
+        rows, columns = np.nonzero(view.mask)
+        low = np.array([columns.min(), rows.min()]) + view.window.corner
+        high = np.array([columns.max(), rows.max()]) + view.window.corner
+        size = np.array([self.intrinsics.width, self.intrinsics.height])
+        return bool((low > 1).all() and (high < size - 2).all())
 
     def _nothing(self, T: np.ndarray) -> fit.Prior:
         """Return the prior of who knows the depth camera only."""

@@ -1,5 +1,7 @@
 """Perceivers: exact ones have today's bits, seeing ones are near the truth, and nothing flips."""
 
+from contextlib import closing
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -95,3 +97,21 @@ def test_an_environment_observes_and_looks_by_what_it_sees() -> None:
 def test_an_environment_with_an_unknown_perception_is_an_error() -> None:
     with pytest.raises(UnknownNameError, match="perception"):
         gym.make("DemoHLM/GraspCube-v0", perception="eyes")
+
+
+@pytest.mark.parametrize("seed", [2, 4, 13])
+def test_an_object_that_comes_back_over_the_pictures_border_is_where_it_was(seed: int) -> None:
+    task = get_task("LiftBox")
+    with closing(Simulation(task)) as sim, closing(make_perceiver("rgbd", task, 1)) as perceiver:
+        sim.reset([task.sample("R1", np.random.default_rng(970000 + seed))])
+        perceiver.begin(np.array([0]), [seed])
+        pitch, valid, errors = float(sim.neck_positions[0, 1]), [], []
+        away = [0.0, 0.0, *np.linspace(-0.1, -1.0, 8), *np.linspace(-0.6, 0.0, 24)]
+        for offset in away:
+            sim.set_joint("neck_pitch_joint", pitch + offset)
+            estimate = perceiver.observe(sim, np.array([0]))
+            T_camera_box = poses.invert(sim.pose("head_camera")[0]) @ sim.pose("box")[0]
+            errors.append(float(np.linalg.norm((estimate.T_camera_object[0, 0] - T_camera_box)[:3, 3])))
+            valid.append(bool(estimate.valid[0, 0]))
+    assert valid[0] and not any(valid[8:12]) and all(valid[-5:])
+    assert max(errors[-5:]) < 0.005
