@@ -12,9 +12,7 @@ from contextlib import suppress
 
 CONTROL, HELPERS = 20, 10
 """Of SCHED_FIFO: of what writes commands and of a simulated robot; of policy, pose source and servos."""
-_ALL_THAT_IS_USED = (
-    1 | 2 | 4
-)  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2): what is not touched takes no room
+_ALL_THAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2): what is not touched takes no room
 
 
 def hurry(priority: int) -> bool:
