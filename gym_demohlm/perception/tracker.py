@@ -2,7 +2,8 @@
 
 Between frames the object is expected where it was in odometry coordinates. Where the mask says otherwise the guess is
 moved to the mask first: at 10 Hz the image moves too far for a fit alone. A pose is believed only if it explains
-silhouette and depth. An object that is lost, or not seen, is held in odometry coordinates and its age grows.
+silhouette and depth. An object that is lost, or not seen, is held in odometry coordinates and its age grows. One that
+was found while the image's border cut it off is looked for anew once it is in full view.
 
 What no hand is near stays where it is: frames are averaged, as far as odometry can be trusted. What a hand is near may
 have moved with the hand, or on its own.
@@ -257,7 +258,9 @@ class Tracker:
     def register(
         self, view: fit.View, T_odom_optical: np.ndarray, R_odom_object: np.ndarray | None = None
     ) -> tuple[fit.Fit, fit.Quality]:
-        """Find the object without knowing where it is, from many starts.
+        """Find the object anew, from many starts and, if it was seen before, from where it was.
+
+        Of two poses that explain the frame almost alike, the one where it was is taken: most things are still there.
 
         Args:
             view: Depth and mask.
@@ -287,7 +290,7 @@ class Tracker:
                     continue
             if quality.score > best_quality.score:
                 best, best_quality = result, quality
-        if known:  # most things are still where they were
+        if known:
             still = self.expected(T_odom_optical)
             assert still is not None
             prior = self._prior(still, T_odom_optical, handled=True)

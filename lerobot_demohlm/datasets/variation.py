@@ -23,7 +23,7 @@ class DataVariation:
 
     Attributes:
         retries: Most times that an attempt may begin again after it has missed its walk's goal, its reach or its grip;
-            each try has the task's whole time limit. In worlds that vary it may so twice in any case.
+            each try has the task's whole time limit. In worlds that vary it may do so twice in any case.
         command_noise: Scale of the noise that commands carry when they are executed; datasets record them without it.
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
         stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.

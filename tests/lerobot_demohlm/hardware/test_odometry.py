@@ -15,7 +15,7 @@ LATE = 2  # steps of 0.1 s by which a look is old
 
 @pytest.mark.parametrize("walks", [False, True], ids=["bends", "walks"])
 def test_an_old_look_tells_where_objects_are_now(walks: bool) -> None:
-    told, wanted, index = Told("LiftBox"), command.rest(), 0
+    told, wanted = Told("LiftBox"), command.rest()
     gaze = [entry.name for entry in get_task("LiftBox").objects].index("box")
     if walks:
         wanted[command.VELOCITY] = [-0.3, 0.0, 0.2]
