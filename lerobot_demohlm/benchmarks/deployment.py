@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.deployment import Deployment
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.layout import LowCmd, LowState
 from lerobot_demohlm.hardware.link import LOW_CMD, LOW_STATE, Link

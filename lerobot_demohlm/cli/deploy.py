@@ -61,7 +61,8 @@ def run(options: Options) -> None:
         DemoHLMError: Something was refused; nothing has moved.
     """
     from gym_demohlm.control import controllers
-    from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+    from lerobot_demohlm.hardware.deployment import Deployment
+    from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
     from lerobot_demohlm.hardware.errors import RobotError
     from lerobot_demohlm.hardware.operator_inputs import Gamepad
 

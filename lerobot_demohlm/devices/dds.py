@@ -14,7 +14,8 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
 from lerobot_demohlm.devices.mirror import Mirror
 from lerobot_demohlm.hardware import remote, robot_observation
-from lerobot_demohlm.hardware.deployment import ASK_AGAIN_S, Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.deployment import ASK_AGAIN_S, Deployment
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.records import Mode
 
 BALANCE_S = 3.0  # that it stands before it runs

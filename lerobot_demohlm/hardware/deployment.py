@@ -14,90 +14,26 @@ import signal
 import tempfile
 import threading
 import time
-from dataclasses import dataclass, field
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.hardware import records
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault
-from lerobot_demohlm.hardware.limits import Ages, Limits
-from lerobot_demohlm.hardware.link import DOMAIN, check_interface
-from lerobot_demohlm.hardware.priority import CONTROL, HELPERS, hurry
+from lerobot_demohlm.hardware.processes import GO, run_process
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.single import ControllerLock
 from lerobot_demohlm.hardware.slots import Reading
-from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 READY_S = 600.0  # that processes may take to load
 ASK_AGAIN_S = 1.0  # after which a robot that does not run is asked to again
 OPERATOR_S = 0.05  # between signs of life of the operator
 FACTS = "deployment.json"
-_GO = "go"  # a file: everything but the controller is ready
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeploymentSettings:
-    """What is deployed, and to where.
-
-    Attributes:
-        task: Name of the task.
-        interface: Of the network.
-        policy: A ``pretrained_model`` directory; None where commands come from LeRobot's own loop.
-        pose_source: With which eyes, see ``pose_process.PoseSettings``.
-        servo_port: Serial port of neck and grippers; None where there are none.
-        root: Directory of the record; None for no record.
-        domain: Of DDS.
-        device: Where the policy runs.
-        weights: File of the whole-body controller; the packaged one by default.
-        tags: For ``apriltag`` with a camera.
-        camera: LeRobot's camera as JSON of its configuration; a simulated robot's world without one.
-        limits: Of commands and measurements.
-        ages: Of the watchdogs.
-    """
-
-    task: str
-    interface: str
-    policy: Path | None
-    pose_source: str = "exact"
-    servo_port: str | None = None
-    root: Path | None = None
-    domain: int = DOMAIN
-    device: str = "cpu"
-    weights: Path | None = None
-    tags: Path | None = None
-    camera: str = ""
-    limits: Limits = field(default_factory=Limits)
-    ages: Ages = field(default_factory=Ages)
-
-    def __post_init__(self) -> None:
-        """Check names.
-
-        Raises:
-            UnknownNameError: There is no such task or pose source.
-            RobotError: There is no such interface, the record exists, or grippers have no port.
-        """
-        from lerobot_demohlm.hardware.pose_process import PoseSettings
-
-        task = get_task(self.task)
-        check_interface(self.interface)
-        PoseSettings(
-            source=self.pose_source,
-            task=self.task,
-            folder=Path(),
-            interface=self.interface,
-            tags=self.tags,
-            camera=self.camera,
-        )  # checks
-        if task.hands == "gripper" and self.servo_port is None:
-            raise RobotError(f"{task.name} without grippers", "the serial port of the grippers", "give --servo-port")
-        if self.root is not None and self.root.exists():
-            raise RobotError(f"the record {self.root}, which exists", "a new path", "choose another --root")
 
 
 class Deployment:
@@ -128,7 +64,7 @@ class Deployment:
             for name in (*self._names(), "control"):
                 self._start(name)
             self._wait_for_ready(*self._names())
-            (self.folder / _GO).touch()
+            (self.folder / GO).touch()
             self._wait_for_ready("control")
         except BaseException:
             self.close()
@@ -281,7 +217,7 @@ class Deployment:
 
     def _start(self, name: str) -> None:
         context = multiprocessing.get_context("spawn")
-        process = context.Process(target=_process, args=(name, self.settings, self.folder), name=name)
+        process = context.Process(target=run_process, args=(name, self.settings, self.folder), name=name)
         process.start()
         self.processes[name] = process
 
@@ -329,80 +265,3 @@ class Deployment:
             (root / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
         except OSError:
             return  # a full disk; the recorder has said so
-
-
-def _process(name: str, settings: DeploymentSettings, folder: Path) -> None:
-    """Be one of the processes."""
-    try:
-        _make(name, settings, folder).run()
-    except DemoHLMError as error:
-        content = {"got": error.got, "expected": error.expected, "remedy": error.remedy}
-        (folder / f"{name}.error").write_text(json.dumps(content))
-        raise SystemExit(2) from None
-
-
-def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa: ANN401
-    """Make what a process runs, and say that it is ready."""
-    if name == "control":
-        from lerobot_demohlm.hardware.control_process import ControlProcess, ControlSettings
-
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
-        parent = multiprocessing.parent_process()
-        while not (folder / _GO).exists():  # it is loaded, but sends nothing before all others are ready
-            if parent is not None and not parent.is_alive():
-                raise SystemExit(1)
-            time.sleep(0.01)
-        hurry(CONTROL)
-        made: Any = ControlProcess(
-            ControlSettings(
-                interface=settings.interface,
-                folder=folder,
-                task=settings.task,
-                domain=settings.domain,
-                weights=settings.weights,
-                servos=settings.servo_port is not None,
-                recorded=settings.root is not None,
-                limits=settings.limits,
-                ages=settings.ages,
-            )
-        )
-    else:
-        end_with_parent()
-        made = _make_helper(name, settings, folder)
-        if name != "recorder":
-            hurry(HELPERS)
-    (folder / f"{name}.ready").touch()
-    return made
-
-
-def _make_helper(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa: ANN401
-    if name == "policy":
-        from lerobot_demohlm.hardware.policy_process import PolicyProcess, PolicySettings
-
-        assert settings.policy is not None  # else there is no such process
-        return PolicyProcess(
-            PolicySettings(path=settings.policy, task=settings.task, folder=folder, device=settings.device)
-        )
-    if name == "pose":
-        from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings
-
-        return PoseProcess(
-            PoseSettings(
-                source=settings.pose_source,
-                task=settings.task,
-                folder=folder,
-                interface=settings.interface,
-                domain=settings.domain,
-                tags=settings.tags,
-                camera=settings.camera,
-            )
-        )
-    if name == "servos":
-        from lerobot_demohlm.hardware.servos import ServoProcess
-
-        assert settings.servo_port is not None  # else there is no such process
-        return ServoProcess(folder, settings.servo_port, settings.task)
-    from lerobot_demohlm.hardware.recorder import Recorder
-
-    assert settings.root is not None  # else there is no such process
-    return Recorder(folder, settings.root)

@@ -19,7 +19,8 @@ from gym_demohlm.errors import DemoHLMError, UnknownNameError
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.hardware import recorder
-from lerobot_demohlm.hardware.deployment import Deployment, DeploymentSettings
+from lerobot_demohlm.hardware.deployment import Deployment
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault, Faults
 from lerobot_demohlm.hardware.layout import LowCmd
