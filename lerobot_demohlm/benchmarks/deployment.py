@@ -23,7 +23,7 @@ from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.layout import LowCmd, LowState
 from lerobot_demohlm.hardware.link import LOW_CMD, LOW_STATE, Link
-from lerobot_demohlm.hardware.priority import CONTROL
+from lerobot_demohlm.hardware.priority import Urgency, hurry
 from lerobot_demohlm.hardware.records import Mode
 
 START_S = 240.0  # that a robot may take to start
@@ -129,12 +129,10 @@ def measure_link(seconds: float, domain: int = 181) -> dict[str, Any]:
     Returns:
         Shares of messages late by more than 2 ms, both ways, and round trips.
     """
-    from lerobot_demohlm.hardware.priority import hurry
-
     other = subprocess.Popen(
         [sys.executable, "-c", _OTHER, str(domain), str(seconds + 1.0)], stdout=subprocess.PIPE, text=True
     )
-    hurry(CONTROL)
+    hurry(Urgency.CONTROL)
     link = Link("lo", domain)
     states, commands, state = link.writer(LOW_STATE), link.reader(LOW_CMD, newest=False), LowState()
     state.quat_wxyz[0] = 1.0
@@ -186,9 +184,7 @@ def measure_link(seconds: float, domain: int = 181) -> dict[str, Any]:
 
 def answer_states(domain: int, seconds: float) -> dict[str, Any]:
     """Answer each state with a command that carries its tick, for a while after the first; returns what was heard."""
-    from lerobot_demohlm.hardware.priority import hurry
-
-    hurry(CONTROL)
+    hurry(Urgency.CONTROL)
     link = Link("lo", domain)
     reader, writer, command = link.reader(LOW_STATE, newest=False), link._writer(LOW_CMD), LowCmd()
     times: list[float] = []

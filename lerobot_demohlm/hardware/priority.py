@@ -1,6 +1,8 @@
-"""A process that must be on time -> real-time priority and memory that stays, where the system allows them.
+"""A process that must be on time -> its priority and memory that stays, where the system allows them.
 
-Nor does it collect garbage.
+Control and a simulated robot have real-time priority: they sleep most of the time. Policy and pose source need much of
+a core, so they only go before other programs. Where real-time processes leave a core less than 5 % of a second, Linux
+stops them all for the rest of it (``sched_rt_runtime_us``): 50 ms without commands, in which a robot damps.
 
 Threads inherit the priority, so a process asks for it before it opens the network.
 """
@@ -9,25 +11,37 @@ import ctypes
 import gc
 import os
 from contextlib import suppress
+from enum import Enum
 
-CONTROL, HELPERS = 20, 10
-"""Of SCHED_FIFO: of what writes commands and of a simulated robot; of policy, pose source and servos."""
 _ALL_THAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2): what is not touched takes no room
 
 
-def hurry(priority: int) -> bool:
-    """Ask not to be kept waiting; returns whether the system allows the priority.
+class Urgency(Enum):
+    """Who goes before whom."""
 
-    Pages of memory that the system takes back meanwhile would have to be fetched again, which takes up to 100 ms.
+    CONTROL = "SCHED_FIFO, priority 20"
+    """What writes commands, and a simulated robot."""
+    HELPER = "SCHED_OTHER, niceness -15"
+    """Policy, pose source and servos."""
+
+
+def hurry(urgency: Urgency) -> bool:
+    """Ask not to be kept waiting; returns whether the system allows it.
+
+    Nor does the process collect garbage from now on. Its pages of memory stay: to fetch one again that the system took
+    back takes up to 100 ms.
 
     Args:
-        priority: Of SCHED_FIFO, from 1.
+        urgency: Of the process.
     """
     gc.collect()
     gc.freeze()
     gc.disable()
     ctypes.CDLL(None).mlockall(_ALL_THAT_IS_USED)  # refused to users without the right; then pages may go
     with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        if urgency is Urgency.CONTROL:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+        else:
+            os.setpriority(os.PRIO_PROCESS, 0, -15)
         return True
     return False

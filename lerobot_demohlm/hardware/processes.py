@@ -13,7 +13,7 @@ from typing import Any
 
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
-from lerobot_demohlm.hardware.priority import CONTROL, HELPERS, hurry
+from lerobot_demohlm.hardware.priority import Urgency, hurry
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 GO = "go"  # a file: everything but the controller is ready
@@ -49,7 +49,7 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
             if parent is not None and not parent.is_alive():
                 raise SystemExit(1)
             time.sleep(0.01)
-        hurry(CONTROL)
+        hurry(Urgency.CONTROL)
         made: Any = ControlProcess(
             ControlSettings(
                 interface=settings.interface,
@@ -67,7 +67,7 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
         end_with_parent()
         made = _make_helper(name, settings, folder)
         if name != "recorder":
-            hurry(HELPERS)
+            hurry(Urgency.HELPER)
     (folder / f"{name}.ready").touch()
     return made
 

@@ -39,7 +39,7 @@ from lerobot_demohlm.hardware.limits import Limits
 from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, WORLD, Link
 from lerobot_demohlm.hardware.motion_switcher import MotionSwitcherService
 from lerobot_demohlm.hardware.motors import Motors
-from lerobot_demohlm.hardware.priority import CONTROL, hurry
+from lerobot_demohlm.hardware.priority import Urgency, hurry
 from lerobot_demohlm.hardware.simulated_bus import SimulatedBus
 from lerobot_demohlm.hardware.wire_watch import WireWatch
 
@@ -389,7 +389,7 @@ class SimulatedG1:
 def run(settings: SimulatedSettings, output: Any = None) -> dict[str, Any]:  # noqa: ANN401
     """Be a robot; says what happens as JSON lines on stdout, or in a stream."""
     stream = output or sys.stdout
-    hurry(CONTROL)
+    hurry(Urgency.CONTROL)
 
     def say(event: dict[str, Any]) -> None:
         print(json.dumps(event), file=stream, flush=True)
