@@ -99,8 +99,8 @@ class RgbdPerceiver(SeeingPerceiver):
     def _open(self, sim: Simulation) -> VisualModel:
         visual, model = VisualModel(sim.model), sim.model
         self._meshes = known_meshes(sim.scene)
-        seen = (model.geom_rgba[:, 3] > 0) & (model.geom_rgba[:, 3] < TRANSPARENT)
-        self._transparent = np.flatnonzero(seen)
+        alpha = model.geom_rgba[:, 3]
+        self._transparent = np.flatnonzero(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT))
         pelvis = model.body("pelvis").id
         self._robot = np.append(model.body_rootid[model.geom_bodyid] == pelvis, False)  # the last: id -1
         return visual
@@ -156,8 +156,9 @@ class RgbdPerceiver(SeeingPerceiver):
         """Return ids and true depth of a window, and the measured depth."""
         frame = visual.depth_and_ids(window)
         behind = None
-        if len(self._transparent):
-            behind = visual.depth_and_ids(window, self._transparent).depth
+        if len(self._transparent):  # behind glass that is not in the picture all is as it is drawn
+            seen = np.isin(frame.ids, self._transparent).any()
+            behind = visual.depth_and_ids(window, self._transparent).depth if seen else frame.depth
         noise = self._settings.noise
         measured = d435.measure(
             frame.depth, noise, eyes.rng, scale=scale, image_focal=visual.intrinsics.focal, behind=behind

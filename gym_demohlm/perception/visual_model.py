@@ -160,6 +160,11 @@ class VisualModel:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
+    @property
+    def drawn(self) -> np.ndarray:
+        """Which geoms (ngeom,) are drawn at all; those that only collide are not."""
+        return self._groups < _DRAWN_GROUPS
+
     def camera_pose(self) -> np.ndarray:
         """Return ``T_world_optical`` (4, 4), the pose of the frame ``optical`` in the world, after ``place``."""
         camera = self._camera.fixedcamid
@@ -212,7 +217,7 @@ class VisualModel:
         model = self.model
         opacity = np.append(model.mat_rgba[:, 3], 1.0)[model.geom_matid]  # of no material: the last
         partly = [(0.0 < alpha) & (alpha < 1.0) for alpha in (model.geom_rgba[:, 3], opacity)]
-        return bool((np.logical_or(*partly) & (self._groups < _DRAWN_GROUPS)).any())
+        return bool((np.logical_or(*partly) & self.drawn).any())
 
     def _draw(
         self, window: Window, hidden: Sequence[int] | np.ndarray, colors: np.ndarray, depth: np.ndarray | None

@@ -1,6 +1,7 @@
 """Perceivers: exact ones have today's bits, seeing ones are near the truth, and nothing flips."""
 
 from contextlib import closing
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ from gym_demohlm.perception.equivalents import steady_equivalent
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.rgbd import RgbdPerceiver, RgbdSettings
 from gym_demohlm.perception.seeing import Mounting
+from gym_demohlm.perception.visual_model import Frame, VisualModel
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 
@@ -63,6 +65,24 @@ def test_a_camera_that_is_mounted_otherwise_shifts_what_is_told() -> None:
     _, off = _watched(RgbdSettings(mounting=Mounting(camera_turn=np.radians(2.0))), 5, 3)
     distance = 0.9  # m to the cube, about
     assert 0.2 * distance * np.radians(2.0) < np.linalg.norm(off[:3] - straight[:3]) < 1.5 * distance * np.radians(2.0)
+
+
+@pytest.mark.parametrize(("name", "passes"), [("GraspCube", 1), ("PourWater", 2)])
+def test_only_glass_in_the_picture_is_looked_through(name: str, passes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+    draw = VisualModel.depth_and_ids
+
+    def counted(self: VisualModel, *arguments: Any) -> Frame:
+        drawn.append(1)
+        return draw(self, *arguments)
+
+    monkeypatch.setattr(VisualModel, "depth_and_ids", counted)
+    task = get_task(name)
+    with closing(Simulation(task, 1)) as sim, closing(RgbdPerceiver(task, 1)) as perceiver:
+        sim.reset([task.sample("R1", np.random.default_rng(0))])
+        perceiver.begin(np.array([0]), [0])
+        perceiver.observe(sim, np.array([0]))
+    assert len(drawn) == passes  # the robot's shapes that only collide are pale, but no glass
 
 
 def test_a_symmetric_object_does_not_flip_while_its_border_trembles() -> None:
