@@ -1,8 +1,8 @@
 """A process that must be on time -> its priority and memory that stays, where the system allows them.
 
-Control and a simulated robot have real-time priority: they sleep most of the time. Policy and pose source need much of
-a core, so they only go before other programs. Where real-time processes leave a core less than 5 % of a second, Linux
-stops them all for the rest of it (``sched_rt_runtime_us``): 50 ms without commands, in which a robot damps.
+Control, servos and a simulated robot have real-time priority: they sleep most of the time. Policy and pose source need
+much of a core, so they only go before other programs. Where real-time processes leave a core less than 5 % of a second,
+Linux stops them all for the rest of it (``sched_rt_runtime_us``): 50 ms without commands, in which a robot damps.
 
 Threads inherit the priority, so a process asks for it before it opens the network.
 """
@@ -20,9 +20,9 @@ class Urgency(Enum):
     """Who goes before whom."""
 
     CONTROL = "SCHED_FIFO, priority 20"
-    """What writes commands, and a simulated robot."""
+    """What writes commands, to motors or servos, and a simulated robot."""
     HELPER = "SCHED_OTHER, niceness -15"
-    """Policy, pose source and servos."""
+    """Policy and pose source."""
 
 
 def hurry(urgency: Urgency) -> bool:

@@ -67,7 +67,7 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
         end_with_parent()
         made = _make_helper(name, settings, folder)
         if name != "recorder":
-            hurry(Urgency.HELPER)
+            hurry(Urgency.CONTROL if name == "servos" else Urgency.HELPER)
     (folder / f"{name}.ready").touch()
     return made
 
