@@ -4,7 +4,7 @@ Control, servos and a simulated robot have real-time priority: they sleep most o
 much of a core, so they only go before other programs. Where real-time processes leave a core less than 5 % of a second,
 Linux stops them all for the rest of it (``sched_rt_runtime_us``): 50 ms without commands, in which a robot damps.
 
-Threads inherit the priority, so a process asks for it before it opens the network.
+Threads that start later inherit the priority, so control and a simulated robot ask for it before they open the network.
 """
 
 import ctypes
@@ -19,10 +19,10 @@ _ALL_THAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockal
 class Urgency(Enum):
     """Who goes before whom."""
 
-    CONTROL = "SCHED_FIFO, priority 20"
-    """What writes commands, to motors or servos, and a simulated robot."""
-    HELPER = "SCHED_OTHER, niceness -15"
-    """Policy and pose source."""
+    CONTROL = 20
+    """Priority of SCHED_FIFO: of what writes commands, to motors or servos, and of a simulated robot."""
+    HELPER = -15
+    """Niceness, not in real time: of policy and pose source."""
 
 
 def hurry(urgency: Urgency) -> bool:
@@ -40,8 +40,8 @@ def hurry(urgency: Urgency) -> bool:
     ctypes.CDLL(None).mlockall(_ALL_THAT_IS_USED)  # refused to users without the right; then pages may go
     with suppress(OSError):
         if urgency is Urgency.CONTROL:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency.value))
         else:
-            os.setpriority(os.PRIO_PROCESS, 0, -15)
+            os.setpriority(os.PRIO_PROCESS, 0, urgency.value)
         return True
     return False

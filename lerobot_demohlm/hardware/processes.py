@@ -1,7 +1,6 @@
 """The name of a process of a deployment -> that process, from its start to its end.
 
-Modules are imported where they are needed, so that a process loads no more than it runs: control needs no torch policy,
-the recorder no simulator.
+Each process imports the module of what it runs, and not those of the others.
 """
 
 import json

@@ -1,5 +1,6 @@
 """Lines of success over the robot's protocol: measured once, read back, and shown as a table."""
 
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,8 @@ from gym_demohlm import jsonl
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks import deployment_success
 from lerobot_demohlm.benchmarks.deployment_success import SuccessLine, measure_success, read, table
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.paths import REPOSITORY
 
 LINE = SuccessLine(
@@ -70,3 +73,15 @@ def test_the_documented_table_is_that_of_the_results() -> None:
     text = (REPOSITORY / "docs/deployment.md").read_text()
     shown = text.partition("<!-- success -->")[2].partition("<!-- /success -->")[0]
     assert shown.strip() == table(read(REPOSITORY / "results/deployment.jsonl"))
+
+
+@pytest.mark.parametrize("mode", [Mode.DAMP, Mode.STAND])
+def test_a_robot_that_damps_before_it_runs_fails_its_start_alone(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise RobotError("DAMP: control slept", "RUN", "see what holds it back")
+
+    monkeypatch.setattr(deployment_success, "stand_and_run", refused)
+    deployment: Any = SimpleNamespace(mode=mode)
+    robot: Any = SimpleNamespace()
+    with nullcontext() if mode == Mode.DAMP else pytest.raises(RobotError, match="control slept"):
+        deployment_success._stand_and_run(deployment, robot)
