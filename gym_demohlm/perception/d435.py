@@ -7,6 +7,7 @@ without depth. Matching windows blur the edges, which tremble and grow by about 
 many of their pixels have no depth are guesses. Each episode has one error of scale, as cameras have after a knock.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,8 @@ HOLE = 0.0
 _EDGE = 0.5  # px of disparity between neighbours at an edge
 _SHADOW_STEPS = (4, 8, 12, 16, 24)  # px, where a nearer thing is looked for
 _KERNEL_REACH = 4  # a Gaussian kernel's half length in standard deviations
+_SMOOTH = 2.0  # px of blur, from which on noise is drawn at half the resolution
+_JITTER_BLUR = 2.0  # px, over which an edge's place errs one way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,24 +123,25 @@ def measure(
         depth = np.where(through, behind, depth)
     true_disparity = noise.focal * noise.baseline / np.maximum(depth, 1e-3)
     disparity = _move_edges(true_disparity, noise, rng)
-    holes = np.zeros(shape, bool)
-    if noise.edge_holes > 0:
+    holes = (depth < noise.nearest) | (depth > noise.farthest)
+    if noise.edge_holes > 0 or noise.speckle > 0:
         low, high = cv2.erode(disparity, _square(2)), cv2.dilate(disparity, _square(2))
-        holes |= (high - low > 2.0 * _EDGE) & (rng.random(shape, np.float32) < noise.edge_holes)
+        chance = rng.random(shape, np.float32)
+        holes |= (high - low > 2.0 * _EDGE) & (chance < noise.edge_holes) | (chance < noise.speckle)
     if noise.subpixel > 0:
-        disparity = disparity + np.float32(noise.subpixel) * correlated(shape, noise.correlation, rng)
+        disparity += np.float32(noise.subpixel) * correlated(shape, noise.correlation, rng)
     if noise.disparity_step > 0:
-        disparity = np.round(disparity / noise.disparity_step) * noise.disparity_step
-    measured = scale * noise.focal * noise.baseline / np.maximum(disparity, 1e-3)
-    if noise.speckle > 0:
-        holes |= rng.random(shape, np.float32) < noise.speckle
+        disparity /= noise.disparity_step
+        np.round(disparity, out=disparity)
+        disparity *= noise.disparity_step
+    measured = np.divide(scale * noise.focal * noise.baseline, np.maximum(disparity, 1e-3, out=disparity))
     if noise.shadow:
         holes |= shadow(true_disparity, image_focal / noise.focal)
     if through is not None and noise.transparent_holes > 0:
         patches = correlated(shape, 4.0, rng)  # whole patches of glass have no depth
         holes |= through & (patches > _quantile(1.0 - noise.transparent_holes))
-    measured[holes | (depth < noise.nearest) | (depth > noise.farthest)] = HOLE
-    return measured.astype(np.float32)
+    measured[holes] = HOLE
+    return measured.astype(np.float32, copy=False)
 
 
 def shadow(disparity: np.ndarray, pixels_per_disparity: float) -> np.ndarray:
@@ -150,34 +154,36 @@ def shadow(disparity: np.ndarray, pixels_per_disparity: float) -> np.ndarray:
     hidden = np.zeros(disparity.shape, bool)
     for step in _SHADOW_STEPS:
         if step < disparity.shape[1]:
-            nearer = (disparity[:, step:] - disparity[:, :-step]) * pixels_per_disparity
-            hidden[:, :-step] |= nearer > step
+            hidden[:, :-step] |= disparity[:, step:] - disparity[:, :-step] > step / pixels_per_disparity
     return hidden
 
 
 def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (height, width) float32 of standard deviation 1, blurred by a Gaussian [px] of that deviation."""
+    """Return noise (height, width) float32 of standard deviation 1, correlated as a Gaussian blur [px] leaves it.
+
+    Smooth noise is drawn at half the resolution or less, and interpolated.
+    """
+    if blur >= _SMOOTH:
+        rows, columns = shape
+        coarse = correlated(((rows + 1) // 2, (columns + 1) // 2), blur / 2.0, rng)
+        fine = cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+        # Each pixel is 3/4 of a neighbour and 1/4 of the next, both ways; neighbours are alike by exp(-1 / (2 b)^2).
+        return fine * np.float32(1.0 / (0.625 + 0.375 * math.exp(-1.0 / blur**2)))
     white = rng.standard_normal(shape, np.float32)
     if blur <= 0:
         return white
     length = 2 * max(1, round(_KERNEL_REACH * blur)) + 1
     kernel = cv2.getGaussianKernel(length, blur)
-    deviation = float((kernel**2).sum())  # of white noise after the kernel both ways
-    return cv2.sepFilter2D(white, -1, kernel, kernel) / np.float32(deviation)
+    kernel /= math.sqrt(float((kernel**2).sum()))  # white noise keeps its deviation, each way
+    return cv2.sepFilter2D(white, -1, kernel, kernel)
 
 
 def _move_edges(disparity: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
-    """Let edges tremble and near things grow."""
+    """Let edges tremble and near things grow; the result is a new array."""
     disparity = moved = disparity.astype(np.float32)
     if noise.edge_jitter > 0:
         rows, columns = disparity.shape
-        # Drawn at half the resolution: the jitter is smooth over more than two pixels.
-        half = ((rows + 1) // 2, (columns + 1) // 2)
-        u, v = (
-            cv2.resize(correlated(half, 1.0, rng), (columns, rows), interpolation=cv2.INTER_LINEAR) for _ in range(2)
-        )
-        u *= np.float32(noise.edge_jitter)
-        v *= np.float32(noise.edge_jitter)
+        u, v = (np.float32(noise.edge_jitter) * correlated((rows, columns), _JITTER_BLUR, rng) for _ in range(2))
         u += np.arange(columns, dtype=np.float32)
         v += np.arange(rows, dtype=np.float32)[:, None]
         moved = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)

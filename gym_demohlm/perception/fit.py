@@ -46,6 +46,9 @@ class View:
         points: (n, 3) depth pixels well inside the mask [m].
         sigma: (n,) their standard deviations [m].
         share: How much of an independent measurement each of them is.
+        num_pixels: How many pixels the mask has.
+        low: (2,) the mask's first column and row in the window; 0 where it is empty.
+        high: (2,) its last column and row; -1 where it is empty.
     """
 
     depth: np.ndarray
@@ -56,11 +59,9 @@ class View:
     points: np.ndarray
     sigma: np.ndarray
     share: float
-
-    @property
-    def num_pixels(self) -> int:
-        """How many pixels the mask has."""
-        return int(self.mask.sum())
+    num_pixels: int
+    low: np.ndarray
+    high: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -130,18 +131,32 @@ def make_view(
         hiders: (height, width) bool of the window, see ``View``.
     """
     mask = np.ascontiguousarray(mask, dtype=np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    first_column, first_row = max(0, left - 1), max(0, top - 1)  # one pixel more: outside an image nothing is eroded
+    near = slice(first_row, top + height + 1), slice(first_column, left + width + 1)
     for reach in (2, 1, 0):  # a mixed pixel at the edge is neither the object nor the background
-        inner = cv2.erode(mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) if reach else mask
-        rows, columns = np.nonzero((inner > 0) & (depth > 0))
-        if len(rows) >= MAX_POINTS // 2:
+        square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        inner = cv2.erode(mask[near], square) if reach else mask[near]
+        chosen = np.flatnonzero((inner > 0) & (depth[near] > 0))
+        if len(chosen) >= MAX_POINTS // 2:
             break
-    stride = max(1, len(rows) // MAX_POINTS)
-    share = min(1.0, stride / _DEPTH_PATCH)
-    rows, columns = rows[stride // 2 :: stride], columns[stride // 2 :: stride]
-    z = depth[rows, columns].astype(np.float64)
-    points = intrinsics.unproject(np.stack([columns, rows], axis=1) + window.corner, z)
-    others = None if hiders is None else np.ascontiguousarray(hiders, dtype=np.uint8)
-    return View(depth, mask, others, window, intrinsics, points, np.maximum(noise.sigma(z), _DEPTH_FLOOR), share)
+    stride = max(1, len(chosen) // MAX_POINTS)
+    rows, columns = np.divmod(chosen[stride // 2 :: stride], inner.shape[1])
+    pixels = np.stack([columns + first_column, rows + first_row], axis=1)
+    z = depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+    return View(
+        depth=depth,
+        mask=mask,
+        hiders=None if hiders is None else np.ascontiguousarray(hiders, dtype=np.uint8),
+        window=window,
+        intrinsics=intrinsics,
+        points=intrinsics.unproject(pixels + window.corner, z),
+        sigma=np.maximum(noise.sigma(z), _DEPTH_FLOOR),
+        share=min(1.0, stride / _DEPTH_PATCH),
+        num_pixels=int(np.count_nonzero(mask)),
+        low=np.array([left, top]),
+        high=np.array([left + width - 1, top + height - 1]),
+    )
 
 
 class Shape:
@@ -202,9 +217,8 @@ def assess(shape: Shape, T: np.ndarray, view: View, scale: float = 1.0) -> Quali
     drawn = silhouette(shape, T, view.intrinsics, view.window)
     deepest = float((shape.vertices @ T[2, :3]).max() + T[2, 3])
     outside = (drawn > view.mask) & (view.depth > deepest + 0.03)  # it should hide what is seen there
-    both = int((drawn & view.mask).sum())
-    missed = view.num_pixels - both
-    iou = both / max(1, both + missed + int(outside.sum()))
+    both = int(np.count_nonzero(drawn & view.mask))
+    iou = both / max(1, view.num_pixels + int(np.count_nonzero(outside)))
     inliers = 1.0
     if shape.solid and len(view.points) >= _LEAST_POINTS:
         residual, _ = _depth_residuals(shape, T, scale, view)

@@ -40,8 +40,7 @@ def oracle(ids: np.ndarray, geoms: Sequence[int] | np.ndarray, rng: np.random.Ge
     part = exact[near]
     blurred = cv2.GaussianBlur(part.astype(np.float32), (0, 0), _EDGE_BLUR)
     slope = 1.0 / (_EDGE_BLUR * math.sqrt(2.0 * math.pi))  # of a blurred edge [1/px]
-    half = ((part.shape[0] + 1) // 2, (part.shape[1] + 1) // 2)
-    error = cv2.resize(correlated(half, _EDGE_CORRELATION / 2.0, rng), part.shape[::-1])
+    error = correlated((part.shape[0], part.shape[1]), _EDGE_CORRELATION, rng)
     rough[near] = blurred + np.clip(jitter * slope * error, -0.49, 0.49) > 0.5
     return rough
 

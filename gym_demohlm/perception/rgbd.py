@@ -201,12 +201,16 @@ class RgbdPerceiver(SeeingPerceiver):
     def _faces(
         self, k: int, tracker: Tracker, T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
     ) -> np.ndarray | None:
-        """Return roughly how (3, 3) an object lies, in odometry coordinates, as its front is seen; None for any yaw."""
+        """Return roughly how (3, 3) an object lies, in odometry coordinates, as its front is seen.
+
+        None for any yaw, and where the tracker knows better.
+        """
         entry = self._task.objects[k]
-        if entry.symmetry != (0.0,) or not mask.any():
+        if tracker.was_whole or entry.symmetry != (0.0,) or not mask.any():
             return None
-        rows, columns = np.nonzero(mask)
-        middle = np.array([columns.mean(), rows.mean()]) + window.corner
+        by_column, by_row = np.count_nonzero(mask, axis=0), np.count_nonzero(mask, axis=1)
+        middle = np.array([by_column @ np.arange(len(by_column)), by_row @ np.arange(len(by_row))]) / by_row.sum()
+        middle = middle + window.corner
         sight = T_odom_optical[:3, :3] @ tracker.intrinsics.unproject(middle, np.array(1.0))
         return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
 

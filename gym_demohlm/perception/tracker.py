@@ -24,11 +24,12 @@ from gym_demohlm.perception.meshes import ObjectMesh
 NUM_STARTS = 24
 LEAST_PIXELS = 40  # a smaller mask shows nothing
 _ROUGH_ITERATIONS, _FINE_ITERATIONS, _TRACK_ITERATIONS = 4, 8, 6
-_REFINED = 3  # of the starts
+_ROUGHLY_FITTED, _REFINED = 8, 3  # of the starts
 _BELIEVED_IOU, _BELIEVED_INLIERS = 0.55, 0.45
 _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
+_BEST_SCORE = fit.Quality(inliers=1.0, iou=1.0).score
 _PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
 _TURNED_AWAY = math.radians(100.0)  # the largest angle, at first, from how an object roughly lies
 _SCALE_FLOOR, _SCALE_DRIFT = 1e-5, 0.05  # least doubt about depth's factor; share of the doubt that comes back a frame
@@ -87,6 +88,11 @@ class Tracker:
     def expected(self, T_odom_optical: np.ndarray) -> np.ndarray | None:
         """Return where the object should be, ``T_optical_object``, or None before it was seen."""
         return None if self.track is None else poses.invert(T_odom_optical) @ self.track.T_odom_object
+
+    @property
+    def was_whole(self) -> bool:
+        """Whether how the object lies is known: it was seen, and not only in part."""
+        return self.track is not None and not self._found_in_part
 
     def update(
         self,
@@ -243,14 +249,11 @@ class Tracker:
         p_optical[:, 2] = np.maximum(p_optical[:, 2], 0.05)
         uv = view.intrinsics.project(p_optical) - view.window.corner
         low, high = uv.min(axis=0), uv.max(axis=0)
-        rows, columns = np.nonzero(view.mask)
         size = np.array([view.window.width, view.window.height])
-        mask_low = np.array([columns.min(), rows.min()])
-        mask_high = np.array([columns.max(), rows.max()])
-        cut_low, cut_high = mask_low <= 1, mask_high >= size - 2
-        shift = (mask_low + mask_high - low - high) / 2.0
-        shift = np.where(cut_low & ~cut_high, mask_high - high, shift)
-        shift = np.where(cut_high & ~cut_low, mask_low - low, shift)
+        cut_low, cut_high = view.low <= 1, view.high >= size - 2
+        shift = (view.low + view.high - low - high) / 2.0
+        shift = np.where(cut_low & ~cut_high, view.high - high, shift)
+        shift = np.where(cut_high & ~cut_low, view.low - low, shift)
         result = T.copy()
         result[:2, 3] += shift / view.intrinsics.focal * T[2, 3]
         return result
@@ -271,41 +274,47 @@ class Tracker:
             Of all poses that look the same the one that lies most like the default, and its quality.
         """
         R_optical_odom = T_odom_optical[:3, :3].T
-        known = self.track is not None and not self._found_in_part
-        if known:
+        still = None
+        if self.was_whole:
             assert self.track is not None
             R_odom_object = self.track.T_odom_object[:3, :3]
-        rough = []
-        for start in _starts(R_odom_object, known):
-            T = self._placed(R_optical_odom @ start, view)
-            T = fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
-            rough.append((fit.assess(self.shape, T, view).score, len(rough), T))
+            still = self._fitted_where_it_was(view, T_odom_optical)
+            if still[1].score > _BEST_SCORE - _PREFERENCE:
+                return still  # no other pose explains the frame better by enough
+        placed = [self._placed(R_optical_odom @ start, view) for start in _starts(R_odom_object, still is not None)]
+        rough = [
+            fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
+            for T in self._best(placed, view, _ROUGHLY_FITTED)
+        ]
         best, best_quality = self._last, fit.Quality(0.0, 0.0)
-        for _, _, T in sorted(rough, key=lambda entry: (-entry[0], entry[1]))[:_REFINED]:
+        for T in self._best(rough, view, _REFINED):
             result = fit.fit(self.shape, T, view, self._nothing(T), _FINE_ITERATIONS, reach=12)
             quality = fit.assess(self.shape, result.T, view, result.scale)
             result = replace(result, T=self._like(result.T, R_optical_odom, R_odom_object))
-            if not known and R_odom_object is not None:
+            if still is None and R_odom_object is not None:
                 if _angle(R_optical_odom.T @ result.T[:3, :3], R_odom_object) > _TURNED_AWAY:
                     continue
             if quality.score > best_quality.score:
                 best, best_quality = result, quality
-        if known:
-            still = self.expected(T_odom_optical)
-            assert still is not None
-            prior = self._prior(still, T_odom_optical, handled=True)
-            result = fit.fit(self.shape, still, view, prior, _FINE_ITERATIONS, reach=12)
-            quality = fit.assess(self.shape, result.T, view, result.scale)
-            if quality.score > best_quality.score - _PREFERENCE:
-                best, best_quality = result, quality
+        if still is not None and still[1].score > best_quality.score - _PREFERENCE:
+            return still
         return best, best_quality
+
+    def _fitted_where_it_was(self, view: fit.View, T_odom_optical: np.ndarray) -> tuple[fit.Fit, fit.Quality]:
+        """Fit from where the object was when it was seen last."""
+        T = self.expected(T_odom_optical)
+        assert T is not None
+        result = fit.fit(self.shape, T, view, self._prior(T, T_odom_optical, handled=True), _FINE_ITERATIONS, reach=12)
+        return result, fit.assess(self.shape, result.T, view, result.scale)
+
+    def _best(self, candidates: Sequence[np.ndarray], view: fit.View, count: int) -> list[np.ndarray]:
+        """Return the poses that explain a view best, the best one first."""
+        return sorted(candidates, key=lambda T: -fit.assess(self.shape, T, view).score)[:count]
 
     def _is_whole(self, view: fit.View) -> bool:
         """Return whether the image's border cuts nothing off."""
-        rows, columns = np.nonzero(view.mask)
-        low = np.array([columns.min(), rows.min()]) + view.window.corner
-        high = np.array([columns.max(), rows.max()]) + view.window.corner
         size = np.array([self.intrinsics.width, self.intrinsics.height])
+        low, high = view.low + view.window.corner, view.high + view.window.corner
         return bool((low > 1).all() and (high < size - 2).all())
 
     def _nothing(self, T: np.ndarray) -> fit.Prior:
@@ -329,12 +338,10 @@ class Tracker:
 
     def _placed(self, R_optical_object: np.ndarray, view: fit.View) -> np.ndarray:
         """Return a pose of an orientation whose silhouette has the place and size of the mask."""
-        rows, columns = np.nonzero(view.mask)
-        low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
-        middle = self.intrinsics.unproject((low + high) / 2.0 + view.window.corner, np.array(1.0))
+        middle = self.intrinsics.unproject((view.low + view.high) / 2.0 + view.window.corner, np.array(1.0))
         turned = (self.shape.vertices - self.shape.middle) @ R_optical_object.T
-        extent = np.ptp(turned[:, :2], axis=0)
-        z = float(np.min(self.intrinsics.focal * extent / np.maximum(high - low + 1, 1)))  # the less hidden way
+        extent, seen = np.ptp(turned[:, :2], axis=0), np.maximum(view.high - view.low + 1, 1)
+        z = float(np.min(self.intrinsics.focal * extent / seen))  # the less hidden way
         if self.shape.solid and len(view.points):
             z = float(np.median(view.points[:, 2])) - 0.5 * float(turned[:, 2].min())
         T = np.eye(4)
