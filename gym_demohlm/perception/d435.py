@@ -174,8 +174,8 @@ def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) ->
         return white
     length = 2 * max(1, round(_KERNEL_REACH * blur)) + 1
     kernel = cv2.getGaussianKernel(length, blur)
-    kernel /= math.sqrt(float((kernel**2).sum()))  # white noise keeps its deviation, each way
-    return cv2.sepFilter2D(white, -1, kernel, kernel)
+    deviation = float((kernel**2).sum())  # of white noise after the kernel both ways
+    return cv2.sepFilter2D(white, -1, kernel, kernel) / np.float32(deviation)
 
 
 def _move_edges(disparity: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:

@@ -244,7 +244,7 @@ class Scene:
             if offsets.x != 0.0:
                 mocap_pos[index, 0] += offsets.x
         if self._top is not None:
-            self._place_clutter(qpos, conditions, np.array([offsets.x, offsets.y, offsets.z]))
+            self._place_clutter(qpos, conditions, offsets)
         return qpos, mocap_pos, mocap_quat
 
     def _offsets(self, initial_state: InitialState, conditions: Conditions) -> "_Offsets":
@@ -277,16 +277,29 @@ class Scene:
             return 0.0
         return lowest_point(self.physics, name) * (1.0 - size)
 
-    def _place_clutter(self, qpos: np.ndarray, conditions: Conditions, shift: np.ndarray) -> None:
-        """Put the cans on the table, moved by a region's offsets (3,) [m], or far away."""
+    def _place_clutter(self, qpos: np.ndarray, conditions: Conditions, offsets: "_Offsets") -> None:
+        """Put the cans on the table, moved by a region's offsets, or far away."""
         assert self._top is not None  # else there are none
+        shift = np.array([offsets.x, offsets.y, offsets.z])
         addresses = [entry.qpos_address for entry in self._placements if entry.qpos_address is not None]
         middles = np.array([qpos[address : address + 2] for address in addresses]) - shift[:2]
         radii = np.array([self._radius(name) for name in self.loose])
-        for name, place in place_clutter(conditions, self._top, middles, radii).items():
+        for name, place in place_clutter(conditions, self._top, middles, radii, self._facing(offsets)).items():
             address = self._free_joint(name)
             away = place[2] < self._top.centre[2]
             qpos[address : address + 7] = *(np.array(place) + (0.0 if away else shift)), 1.0, 0.0, 0.0, 0.0
+
+    def _facing(self, offsets: "_Offsets") -> float:
+        """Return by how many quarter turns [rad] the first object is turned, and with it the robot that handles it.
+
+        Of turns after which the object looks the same, the least one counts.
+        """
+        entry = self.task.objects[0]
+        if entry.symmetry == "any":
+            return 0.0
+        turn = (offsets.yaw if entry.placed else 0.0) + offsets.own.get(entry.name, (0.0, 0.0, 0.0))[2]
+        least = min((float(poses.wrap_angle(turn + same)) for same in entry.symmetry), key=abs)
+        return round(least / (math.pi / 2)) * math.pi / 2
 
     def _radius(self, name: str) -> float:
         """Return the radius of a circle around an object seen from above [m], with room for a larger size."""

@@ -83,25 +83,29 @@ def table_top(spec: mujoco.MjSpec, task: Task) -> Top | None:
 
 
 def place_clutter(
-    conditions: Conditions, top: Top, objects: np.ndarray, radii: np.ndarray
+    conditions: Conditions, top: Top, objects: np.ndarray, radii: np.ndarray, facing: float = 0.0
 ) -> dict[str, tuple[float, float, float]]:
     """Return where the cans stand [m], as if the table were where the scene is built.
 
-    They stand behind the objects as seen from where the robot comes. Where no place is free, a can stands far away on
-    the floor.
+    They stand behind the objects as seen from where the robot handles them. Where no place is free, a can stands far
+    away on the floor.
 
     Args:
         conditions: Of the world.
         top: Of the table.
         objects: (n, 2) middles of the objects on it [m].
         radii: (n,) of circles around them [m].
+        facing: Where the robot looks as it handles them, from the world's x axis on [rad].
     """
     half = top.half * conditions.number("scene.table_width", plain=1.0)
     places = {}
     for index, name in enumerate(CLUTTER):
         numbers = conditions.numbers("scene.clutter", name)
         size = 1.0 if numbers is None else _can_size(numbers)
-        found = None if numbers is None else _free_place(numbers, index, top, half, objects, radii, _RADIUS * size)
+        found = None
+        if numbers is not None:
+            angle = facing + (1 - 2 * index) * float(np.interp(numbers[1], (0.0, 1.0), _DIRECTIONS))
+            found = _free_place(numbers[0], angle, top, half, objects, radii, _RADIUS * size)
         if found is None:
             places[name] = (3.0, 0.5 * (2 * index - 1), _HALF_HEIGHT * size + 1e-4)
         else:
@@ -110,17 +114,15 @@ def place_clutter(
 
 
 def _free_place(
-    numbers: tuple[float, ...],
-    index: int,
+    nearness: float,
+    angle: float,
     top: Top,
     half: np.ndarray,
     objects: np.ndarray,
     radii: np.ndarray,
     radius: float,
 ) -> tuple[float, float] | None:
-    """Return a free place (x, y) on a ray from the objects' middle, as near as the first number says."""
-    low, high = _DIRECTIONS
-    angle = (1 - 2 * index) * (low + numbers[1] * (high - low))
+    """Return a free place (x, y) on a ray from the objects' middle, from the nearest (0) to the farthest (1)."""
     middle, ray = objects.mean(axis=0), np.array([math.cos(angle), math.sin(angle)])
     free = []
     for distance in np.arange(0.0, 0.6, 0.005):
@@ -134,7 +136,7 @@ def _free_place(
             free.append(place)
     if not free:
         return None
-    x, y = free[round(numbers[0] * (len(free) - 1))]
+    x, y = free[round(nearness * (len(free) - 1))]
     return float(x), float(y)
 
 

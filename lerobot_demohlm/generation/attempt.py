@@ -242,6 +242,8 @@ class Attempts:
                 )
             elif fault is not None:
                 attempt.end(*_failure(attempt, fault))
+            elif self.settings.adapts and self._judge.success_held[world]:
+                attempt.end("success")  # where a rollout ends, too
             elif len(attempt.action) >= self._num_ticks * (1 + attempt.retries):
                 limit_s = self.task.episode_length_s * (1 + attempt.retries)
                 self._conclude(attempt, f"the time limit of {limit_s:g} s was reached")
@@ -300,15 +302,15 @@ class Attempts:
         for wanted in playback.run():
             attempt.stage = playback.stage
             yield wanted
+        if self.settings.adapts and playback.left_in_place:
+            raise StageError("timeout", _missing(attempt, "the motion was over"), again=True)
 
     def _conclude(self, attempt: Attempt, why: str) -> None:
         """Judge an attempt whose motion or time is over."""
         if self._judge.success_held[attempt.world.index]:
             attempt.end("success")
             return
-        steps = sum(attempt.success)
-        seen = f"held for {steps * STEP_DT:.1f} s, but not throughout the last second" if steps else "never held"
-        attempt.end("timeout", f"{why} and the success condition {seen}")
+        attempt.end("timeout", _missing(attempt, why))
 
     def _episode(self, attempt: Attempt) -> Episode:
         assert attempt.outcome is not None  # run together ends when all have one
@@ -340,6 +342,13 @@ class Attempts:
             retries=attempt.retries,
             success_strict=attempt.strict,
         )
+
+
+def _missing(attempt: Attempt, why: str) -> str:
+    """Say in words what an attempt without success has ended with."""
+    steps = sum(attempt.success)
+    seen = f"held for {steps * STEP_DT:.1f} s, but not throughout the last second" if steps else "never held"
+    return f"{why} and the success condition {seen}"
 
 
 def _failure(attempt: Attempt, name: str) -> tuple[str, str]:

@@ -29,6 +29,7 @@ from lerobot_demohlm.generation.stages import (
 from lerobot_demohlm.generation.stance import Stance
 from lerobot_demohlm.generation.world_view import WorldView
 
+_LEVEL_M = 0.02  # m, by which something that was not taken hold of is higher or lower than it began
 _UPRIGHT = 0.98  # cosine of the tilt up to which a thing stands as it did
 
 
@@ -77,7 +78,7 @@ class Playback:
         self._adapts, self._adaptation = settings.adapts, settings.adaptation
         self._places = {name: world.pose(name) if self._adapts else world.start_pose(name) for name in self._names}
         self._regain_ticks = settings.adaptation.regain_ticks  # that are left
-        self._stance = Stance(settings.locomotion.window_ticks)
+        self._stance = Stance(settings.locomotion.window_ticks, settings.adaptation.drift_gain)
         self._gripping = Gripping(world, task, demonstration, segments, settings.gripping)
         self._switches = {entry.start for entry in segments if entry.start > 0} | self._gripping.switches
 
@@ -133,6 +134,12 @@ class Playback:
         before, after = self.settings.delicate_ticks
         near = any(-before <= self.tick - switch <= after for switch in self._switches)
         return near or self.activity not in ("transit", "follow", "walk on")
+
+    @property
+    def left_in_place(self) -> bool:
+        """Whether every object still is as high as it began, and no object lies on another side."""
+        motions = [poses.invert(self.world.start_pose(name)) @ self.world.pose(name) for name in self._names]
+        return all(abs(motion[2, 3]) < _LEVEL_M and motion[2, 2] > _UPRIGHT for motion in motions)
 
     def withdraw(self, settings: RetreatSettings) -> Iterator[np.ndarray]:
         """Yield commands that open the grippers and take the hands back the way they came."""
@@ -248,7 +255,7 @@ class Playback:
 
     def _leave_m(self) -> float:
         """Return how far the base may be from where it stood before it steps back [m]."""
-        if not self._adapts or self.activity in ("settle", "grip"):
+        if not self._adapts or self.activity in ("settle", "grip", "withdraw"):
             return math.inf
         return self._adaptation.leave_m if self.stage == PRE_MANIPULATION else self._adaptation.holding_leave_m
 

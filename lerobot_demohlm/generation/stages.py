@@ -136,6 +136,8 @@ class AdaptationSettings:
         max_squeeze_m: Largest distance by which that moves the target of a palm [m].
         leave_m: Distance from where it stood at which a robot that reaches for something steps back there [m].
         holding_leave_m: The same of a robot that has taken hold: steps shake what it holds.
+        drift_gain: Velocity that each second of an error of one metre or radian adds to those steps [m/s and rad/s]: a
+            robot that drifts as fast as it steps would never arrive.
         regain_ticks: Largest number of ticks for which the hands' motion waits for those steps, in all.
         highest_m: Largest torso height [m]: with legs as good as straight, a robot that is not quite the modelled one
             keeps stepping where it should stand, and drifts.
@@ -150,6 +152,7 @@ class AdaptationSettings:
     max_squeeze_m: float = 0.04
     leave_m: float = 0.09
     holding_leave_m: float = 0.16
+    drift_gain: float = 0.6
     regain_ticks: int = 50
     highest_m: float = 0.742
     grip_n: float = 8.0

@@ -164,3 +164,21 @@ def test_varied_starts_are_sound(name: str) -> None:
     for world in range(6):
         assert all(contact.dist > -2e-3 for contact in sim.mj_data(world).contact)
     sim.close()
+
+
+@pytest.mark.parametrize("name", ["PressCube", "GraspCube", "ExchangeCube"])
+def test_cans_stand_behind_what_has_a_front(name: str) -> None:
+    """In R4, where cubes are marked, no can stands on the side from which the robot handles the cube."""
+    task = get_task(name).at("R4")
+    sim = Simulation(task, 16, variation=get_variation("real:scene"))
+    rng = np.random.default_rng(4)
+    sim.reset([sim.vary(task.sample("R4", rng)) for _ in range(16)])
+    cube, turned = sim.pose("cube"), 0
+    for can in CLUTTER:
+        place = sim.pose(can)[:, :2, 3] - cube[:, :2, 3]
+        near = np.linalg.norm(place, axis=1) < 0.3  # one without a free place stands far away
+        ahead = (place * cube[:, :2, 0]).sum(axis=1)  # along the way from the robot to the cube
+        assert near.any() and (ahead[near] > -0.06).all()
+        turned += int((near & (cube[:, 0, 0] < 0.0)).sum())
+    assert turned > 0
+    sim.close()

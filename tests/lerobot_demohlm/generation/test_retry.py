@@ -10,6 +10,7 @@ from gym_demohlm.control import command
 from gym_demohlm.control.ik_settings import IKSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation, StepResult
+from gym_demohlm.simulation.judge import held
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
@@ -42,6 +43,30 @@ class Jammed(Simulation):
             commands = commands.copy()
             commands[0, RIGHT] = 0.0
         return super().step(commands, active)
+
+
+class Demanding(Simulation):
+    """A task that has no success before the robot has stepped back once."""
+
+    def reset(self, *arguments: object, **options: object) -> None:
+        super().reset(*arguments, **options)  # pyright: ignore[reportArgumentType]
+        self.stepped_back = False
+
+    def step(self, commands: np.ndarray, active: np.ndarray | None = None) -> StepResult:
+        self.stepped_back |= bool(commands[0, 0] < -0.05)
+        return super().step(commands, active)
+
+    def success(self) -> np.ndarray:
+        return super().success() & self.stepped_back
+
+
+def one_attempt(name: str, variation: str, index: int = 0) -> Episode:
+    task = get_task(name)
+    settings = Settings(variation=dataclasses.replace(PLAIN, variation=variation))
+    attempts = Attempts(task, demonstrations.load(task=task), "R1", 0, settings=settings)
+    (episode,) = attempts.run([index])
+    attempts.close()
+    return episode
 
 
 def jammed(monkeypatch: pytest.MonkeyPatch, retries: int) -> Episode:
@@ -87,6 +112,31 @@ def test_hands_that_cannot_reach_are_taken_back_the_way_they_came() -> None:
     (episode,) = attempts.run([0])
     attempts.close()
     assert (episode.outcome, episode.stage, episode.retries) == ("ik_failed", stages.PRE_MANIPULATION, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "variation", "ended"),
+    [
+        ("PressCube", 3, "real:start", ("success", 1)),
+        ("PressCube", 0, "none", ("timeout", 0)),
+        ("GraspCube", 0, "real:start", ("timeout", 0)),  # the cube is in the hand
+    ],
+)
+def test_a_motion_without_success_is_made_again_where_nothing_was_taken(
+    monkeypatch: pytest.MonkeyPatch, name: str, index: int, variation: str, ended: tuple[str, int]
+) -> None:
+    """In worlds that vary."""
+    monkeypatch.setattr(attempt, "Simulation", Demanding)
+    episode = one_attempt(name, variation, index)
+    assert (episode.outcome, episode.retries) == ended
+
+
+@pytest.mark.parametrize("variation", ["real:start", "none"])
+def test_in_worlds_that_vary_an_attempt_ends_with_its_success(variation: str) -> None:
+    """As an episode of the environment does; in the plain world the whole demonstration is repeated."""
+    episode = one_attempt("PressCube", variation)
+    assert episode.outcome == "success" and held(episode.success)
+    assert held(episode.success[:-1]) == (variation == "none")
 
 
 def test_worlds_that_vary_have_their_own_limits_and_no_fewer_tries_than_asked() -> None:

@@ -66,3 +66,14 @@ def test_it_does_not_step_where_it_must_not() -> None:
     assert velocities(stance, creep(-0.2, 0))[-1].any()
     assert not stance.velocity(THERE @ poses.planar(-0.2, 0.0, 0.0), np.eye(4), math.inf).any()
     assert not stance.steps
+
+
+@pytest.mark.parametrize("drift_gain", [0.0, 0.6])
+def test_a_base_that_drifts_against_its_steps_comes_back_if_its_errors_add_up(drift_gain: float) -> None:
+    stance, base, stood = Stance(7, drift_gain), 0.0, []
+    for _ in range(200):
+        velocity = stance.velocity(THERE @ poses.planar(base, 0.0, 0.0), np.eye(4), LEAVE_M)
+        stood.append(not stance.steps)
+        base += 0.1 * (velocity[0] - 0.12 if stance.steps else -0.03)
+    arrived = bool(np.diff(np.array(stood, dtype=int)).max() > 0)
+    assert arrived == (drift_gain > 0.0)
