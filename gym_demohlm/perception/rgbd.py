@@ -1,4 +1,7 @@
-"""Drawn depth with a D435's errors, and masks -> tracked objects: what a robot with this software would know."""
+"""Drawn depth with a D435's errors, and masks -> tracked objects: what a robot with this software would know.
+
+Furniture stays where it stands, so it is looked at in every fifth frame only, and counts as seen in between.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -20,6 +23,7 @@ from gym_demohlm.timing import STEP_DT
 _NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
 _MARGIN = 60.0  # px around an object in which it is looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
+_FIXED_EVERY = 5  # frames from one look at furniture to the next
 _LEAST_PATCH = 40  # px, fewer of an object's colour are something else
 
 
@@ -69,11 +73,13 @@ class _Memory:
         scale: The depth camera's factor.
         trackers: One an object.
         touched: Objects that a hand was near: they may lie otherwise than at first.
+        frames: How many there were.
     """
 
     scale: float
     trackers: list[Tracker]
     touched: set[int] = field(default_factory=set)
+    frames: int = 0
 
 
 class RgbdPerceiver(SeeingPerceiver):
@@ -113,16 +119,19 @@ class RgbdPerceiver(SeeingPerceiver):
         if not memory.trackers:
             known = visual.intrinsics.scaled(settings.focal_factor)
             memory.trackers = [Tracker(mesh.scaled(settings.mesh_scale), known) for mesh in self._meshes]
-        trackers = memory.trackers
-        frame, depth = self._measured(visual, eyes, memory.scale, self._window(trackers, T_odom_optical, visual))
-        found = self._masks(visual, eyes, frame, trackers, T_odom_optical)
+        trackers, due = memory.trackers, self._due(memory)
+        memory.frames += 1
+        if not due:
+            return [sighting_of(tracker) for tracker in trackers]
+        window = self._window([trackers[k] for k in due], T_odom_optical, visual)
+        frame, depth = self._measured(visual, eyes, memory.scale, window)
+        found = self._masks(visual, eyes, frame, {k: trackers[k] for k in due}, T_odom_optical)
         hiders = self._robot[frame.ids]
-        in_front = []
-        for mask in found:  # what comes first in a task is handled on, in or before what follows
-            in_front.append(hiders)
-            hiders = hiders | mask
-        order = sorted(range(len(found)), key=lambda k: self._task.objects[k].moves_with is not None)
-        for k in order:
+        in_front = {}
+        for k in due:  # what comes first in a task is handled on, in or before what follows
+            in_front[k] = hiders
+            hiders = hiders | found[k]
+        for k in sorted(due, key=lambda k: self._task.objects[k].moves_with is not None):
             tracker, motions = trackers[k], hand_motions(trackers[k], eyes.palms, palms)
             if motions:
                 memory.touched.add(k)
@@ -133,21 +142,29 @@ class RgbdPerceiver(SeeingPerceiver):
                 tracker.settle(T_odom_optical, carried)
         return [sighting_of(tracker) for tracker in trackers]
 
+    def _due(self, memory: _Memory) -> list[int]:
+        """Return the objects to be looked at in this frame."""
+        if memory.frames % _FIXED_EVERY == 0:
+            return list(range(len(memory.trackers)))
+        seen = [tracker.track is not None and tracker.track.valid for tracker in memory.trackers]
+        return [k for k, mesh in enumerate(self._meshes) if not (mesh.fixed and seen[k])]
+
     def _masks(
-        self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: list[Tracker], T_odom_optical: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return the pixels (height, width) of each object in a window."""
+        self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: dict[int, Tracker], T_odom_optical: np.ndarray
+    ) -> dict[int, np.ndarray]:
+        """Return the pixels (height, width) bool, in a window, of each object that is looked at."""
         if self._settings.masks == "oracle":
-            return [masks.oracle(frame.ids, mesh.geoms, eyes.rng, self._settings.mask_jitter) for mesh in self._meshes]
+            jitter = self._settings.mask_jitter
+            return {k: masks.oracle(frame.ids, self._meshes[k].geoms, eyes.rng, jitter) for k in trackers}
         picture = photographed(visual.rgb(frame.window), eyes.rng)
-        found = []
-        for mesh, tracker in zip(self._meshes, trackers, strict=True):
-            T = tracker.expected(T_odom_optical)
-            expected = None
+        found = {}
+        for k, tracker in trackers.items():
+            T, expected = tracker.expected(T_odom_optical), None
             if T is not None and T[2, 3] > 0:
                 middle = visual.intrinsics.project(poses.transform(T, tracker.shape.middle[None]))[0]
                 expected = tuple((middle - frame.window.corner).tolist())
-            found.append(masks.component_near(masks.color(picture, mesh.colors), expected, _LEAST_PATCH))
+            colored = masks.color(picture, self._meshes[k].colors)
+            found[k] = masks.component_near(colored, expected, _LEAST_PATCH)
         return found
 
     def _measured(

@@ -14,6 +14,7 @@ from gym_demohlm.perception.equivalents import steady_equivalent
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.rgbd import RgbdPerceiver, RgbdSettings
 from gym_demohlm.perception.seeing import Mounting
+from gym_demohlm.perception.tracker import Track, Tracker
 from gym_demohlm.perception.visual_model import Frame, VisualModel
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
@@ -135,3 +136,27 @@ def test_an_object_that_comes_back_over_the_pictures_border_is_where_it_was(seed
             valid.append(bool(estimate.valid[0, 0]))
     assert valid[0] and not any(valid[8:12]) and all(valid[-5:])
     assert max(errors[-5:]) < 0.005
+
+
+def test_furniture_is_looked_at_in_every_fifth_frame_and_in_each_where_it_is_not_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked: list[str] = []
+    update = Tracker.update
+
+    def noted(self: Tracker, *arguments: Any) -> Track | None:
+        looked.append(self.shape.mesh.name)
+        return update(self, *arguments)
+
+    monkeypatch.setattr(Tracker, "update", noted)
+    task, row = get_task("PushCube"), np.array([0])
+    with closing(Simulation(task, 1)) as sim, closing(RgbdPerceiver(task, 1)) as perceiver:
+        sim.reset([task.sample("R1", np.random.default_rng(0))])
+        perceiver.begin(row, [0])
+        told = [perceiver.observe(sim, row) for _ in range(6)]
+        assert (looked.count("cube"), looked.count("field")) == (6, 2)
+        assert all(estimate.valid.all() and (estimate.age_s == 0.0).all() for estimate in told)
+        looked.clear()
+        sim.set_joint("neck_pitch_joint", -1.0)  # it looks up
+        told = [perceiver.observe(sim, row) for _ in range(10)]
+        assert looked.count("field") >= 6 and not told[-1].valid.any()
