@@ -20,8 +20,8 @@ class PoseEstimate:
     Attributes:
         T_camera_object: (n, k, 4, 4) poses in the frame ``head_camera``, of equivalent ones the nearest to the
             camera's heading.
-        valid: (n, k) whether the newest frame showed the object; where it did not, the last pose is held in odometry
-            coordinates.
+        valid: (n, k) whether the newest frame in which the object was looked for showed it; furniture is not looked for
+            in every frame. Where it did not, the last pose is held in odometry coordinates.
         age_s: (n, k) time since a frame showed it [s]; infinite where none has.
         inliers: (n, k) share of its depth pixels that lie on the estimated object; 1 for exact poses.
     """

@@ -142,8 +142,8 @@ class AdaptationSettings:
         highest_m: Largest torso height [m]: with legs as good as straight, a robot that is not quite the modelled one
             keeps stepping where it should stand, and drifts.
         grip_n: Least normal force of a grip [N]; one that barely touches loses its object as it lifts it.
-        retries: Most times that an attempt begins again after it has missed its walk's goal, its reach or its grip, or
-            has pushed an object away; more where ``DataVariation.retries`` is more.
+        retries: Most times that an attempt begins again after it has missed its walk's goal, its reach or its grip, has
+            pushed an object away, or has made its motion without success; more where ``DataVariation.retries`` is more.
         max_walks: Number of walks to a place before the attempt gives up.
         accept_m: Largest distance from the goal of a walk at which a robot that stands still goes on.
     """

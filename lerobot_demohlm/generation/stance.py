@@ -2,8 +2,8 @@
 
 A push moves the base. So does a controller whose gyroscope errs, whose motors are weak or late, or whose arms hold
 more than it was told of: it steps to balance, a few centimetres each second. Hands that reach for the same place from
-further and further away bend the torso, which makes it worse. A robot that drifts as fast as it is told to step against
-it would never arrive, so what remains of an error adds up.
+further and further away bend the torso, which makes it worse. A base may also drift back as fast as it
+steps forward, and never arrive. So the error that remains is summed up, and the sum makes the steps faster.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.generation.locomotion import BaseEstimate
 
 _GAIN = np.array([1.2, 1.2, 1.4])  # m/s, m/s and rad/s a metre or radian
-_MOST_SUM = np.array([0.15, 0.12, 0.2])  # m/s, m/s, rad/s
+_MOST_SUM = np.array([0.15, 0.12, 0.2])  # m/s, m/s, rad/s: the most that the sum of errors adds
 _LIMIT = np.array([0.25, 0.2, 0.4])  # m/s, m/s, rad/s
 _LEAST = np.array([0.10, 0.10, 0.15])  # m/s, m/s, rad/s: a slower step does not move the base
 _BACK = 0.35  # share of the distance at which it sets off, within which it stands again
