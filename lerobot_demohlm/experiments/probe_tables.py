@@ -7,6 +7,7 @@ from lerobot_demohlm.experiments.lines import Measurement
 from lerobot_demohlm.experiments.tables import markdown
 from lerobot_demohlm.experiments.variants import stamp
 
+_Side = tuple[str, Sequence[str]]  # what lines have as a row's or a column's name, and the names in their order
 AGED = " *"  # behind what was measured before the task, the variation or the generator became what it is now
 
 
@@ -14,29 +15,32 @@ def variation_table(lines: Sequence[Measurement]) -> str:
     """Return strict successes of each task under each variation, the newest of each, a table for each region."""
     order = {name: index for index, name in enumerate(_names(lines, "variation"))}
     names = sorted(order, key=lambda name: (name != "none", ":" not in name, order[name]))
-    return _tables("**Generation in worlds that vary**", lines, "variation", names)
+    rows, columns = ("task", sorted(_names(lines, "task"))), ("variation", names)
+    return _tables("**Generation in worlds that vary**", lines, rows, columns)
 
 
 def feedback_table(lines: Sequence[Measurement]) -> str:
-    """Return strict successes of each task replayed in each way, a table for each region and variation."""
+    """Return strict successes of each way to replay each task, a table for each region and variation."""
     parts = []
     for variation in _names(lines, "variation"):
         chosen = [line for line in lines if line["variation"] == variation]
-        parts.append(_tables(f"**Less feedback**, `{variation}`", chosen, "replay", _names(chosen, "replay")))
+        rows, columns = ("replay", _names(chosen, "replay")), ("task", _names(chosen, "task"))
+        parts.append(_tables(f"**Less feedback**, `{variation}`", chosen, rows, columns))
     return "\n\n".join(parts)
 
 
-def _tables(title: str, lines: Sequence[Measurement], column: str, names: Sequence[str]) -> str:
+def _tables(title: str, lines: Sequence[Measurement], rows: _Side, columns: _Side) -> str:
     parts = []
     for region in sorted(_names(lines, "region")):
-        found = {(line["task"], line[column]): line for line in lines if line["region"] == region}
-        tasks = sorted({task for task, _ in found})
-        shown = [name for name in names if any((task, name) in found for task in tasks)]
-        rows = [[task, *(_cell(found.get((task, name))) for name in shown)] for task in tasks]
+        found = {(line[rows[0]], line[columns[0]]): line for line in lines if line["region"] == region}
+        beside = [name for name in rows[1] if any(row == name for row, _ in found)]
+        above = [name for name in columns[1] if any(column == name for _, column in found)]
+        body = [[_shown(rows, row), *(_cell(found.get((row, column))) for column in above)] for row in beside]
         note = "A cell is the share of attempts that succeed by the strict judge, and how many attempts there were."
-        if any(AGED in cell for row in rows for cell in row):
+        if any(AGED in cell for row in body for cell in row):
             note += " \\* marks what was measured before the task, its worlds or the generator changed."
-        parts.append(f"{title}, {region}\n\n{markdown(['task', *map(_code, shown)], rows)}\n\n{note}")
+        head = [rows[0], *(_shown(columns, column) for column in above)]
+        parts.append(f"{title}, {region}\n\n{markdown(head, body)}\n\n{note}")
     return "\n\n".join(parts)
 
 
@@ -58,5 +62,5 @@ def _names(lines: Iterable[Measurement], key: str) -> list[str]:
     return list(dict.fromkeys(line[key] for line in lines))
 
 
-def _code(name: str) -> str:
-    return f"`{name}`"
+def _shown(side: _Side, name: str) -> str:
+    return name if side[0] == "task" else f"`{name}`"

@@ -76,12 +76,23 @@ def test_the_ways_to_replay_become_a_table(
 ) -> None:
     call = ["benchmark", "feedback", "--tasks", "LiftBox", "--num-attempts", "2", "--results", str(tmp_path)]
     assert main(call) == 0
-    assert counted == ["none"] * len(feedback.REPLAYS) + ["real"] * len(feedback.REPLAYS)
+    plain = [name for name, replay in feedback.REPLAYS.items() if replay.in_plain]
+    assert counted == ["none"] * len(plain) + ["real"] * len(feedback.REPLAYS)
     lines = [Measurement(values=line, command="", commit="") for line in jsonl.read(tmp_path / "feedback.jsonl")]
     shown = capsys.readouterr().out
     assert feedback_table(lines) in shown
-    header = next(text for text in shown.splitlines() if text.startswith("| task"))
-    assert header == "| task | " + " | ".join(f"`{name}`" for name in feedback.REPLAYS) + " |"
+    rows = [text.split(" | ")[0] for text in shown.splitlines() if text.startswith("| `")]
+    assert rows == [f"| `{name}`" for name in (*plain, *feedback.REPLAYS)]
+
+
+def test_each_way_to_replay_is_another_one() -> None:
+    """And one that is the same in the plain world differs from ours in what only worlds that vary make count."""
+    ours = feedback.REPLAYS["ours"].settings("real")
+    found = [(replay.settings("real"), replay.symmetric) for replay in feedback.REPLAYS.values()]
+    assert all(found.index(entry) == index for index, entry in enumerate(found))
+    for replay in feedback.REPLAYS.values():
+        settings = replay.settings("real")
+        assert replay.in_plain or replace(settings, adaptation=ours.adaptation) == ours
 
 
 @pytest.mark.parametrize(
