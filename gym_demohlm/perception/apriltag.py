@@ -17,7 +17,6 @@ from gym_demohlm.perception.tags import TagFinder, object_pose
 from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import STEP_DT
 
 _MARGIN = 50.0  # px around an object in which its tags are looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
@@ -95,7 +94,7 @@ class AprilTagPerceiver(SeeingPerceiver):
                 memory.sightings[k] = Sighting(T_odom_object=T_odom_optical @ T, valid=True, age_s=0.0, inliers=share)
             elif last is not None:
                 memory.sightings[k] = Sighting(
-                    T_odom_object=last.T_odom_object, valid=False, age_s=last.age_s + STEP_DT, inliers=last.inliers
+                    T_odom_object=last.T_odom_object, valid=False, age_s=last.age_s + eyes.dt_s, inliers=last.inliers
                 )
         return list(memory.sightings)
 

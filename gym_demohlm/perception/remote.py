@@ -20,7 +20,6 @@ from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, PerceptionSettings
 from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import STEP_DT
 
 _LEAST_PATCH = 40  # px
 
@@ -90,14 +89,14 @@ class RemotePerceiver(SeeingPerceiver):
         memory = eyes.memory
         assert isinstance(memory, _Memory)
         request = self._request(visual, eyes, memory, T_odom_optical, palms)
-        memory.sightings = [_older(sighting) for sighting in memory.sightings]
+        memory.sightings = [_older(sighting, eyes.dt_s) for sighting in memory.sightings]
         told = memory.client.look(request)
         memory.frame += 1
         for k, answer in enumerate(() if told is None else told.answers):
             if answer.valid:
                 assert told is not None
                 T = told.request.T_odom_optical @ answer.T_optical_object
-                age_s = STEP_DT * told.late
+                age_s = eyes.dt_s * told.late
                 memory.sightings[k] = Sighting(T_odom_object=T, valid=told.late == 0, age_s=age_s)
         return list(memory.sightings)
 
@@ -131,8 +130,8 @@ class RemotePerceiver(SeeingPerceiver):
         )
 
 
-def _older(sighting: Sighting | None) -> Sighting | None:
-    """Return what is known of an object a step later."""
+def _older(sighting: Sighting | None, dt_s: float) -> Sighting | None:
+    """Return what is known of an object some time [s] later."""
     if sighting is None:
         return None
-    return Sighting(T_odom_object=sighting.T_odom_object, valid=False, age_s=sighting.age_s + STEP_DT)
+    return Sighting(T_odom_object=sighting.T_odom_object, valid=False, age_s=sighting.age_s + dt_s)

@@ -1,11 +1,13 @@
 """Drawn depth with a D435's errors, and masks -> tracked objects: what a robot with this software would know.
 
-Furniture stays where it stands, so it is looked at in every fifth frame only, and counts as seen in between.
+Furniture stays where it stands, so it is looked at twice a second only. One that was seen counts as seen in between.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import mujoco
 import numpy as np
 
 from gym_demohlm import poses
@@ -18,12 +20,11 @@ from gym_demohlm.perception.tracker import Tracker
 from gym_demohlm.perception.visual_model import Frame, VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
-from gym_demohlm.timing import STEP_DT
 
 _NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
 _MARGIN = 60.0  # px around an object in which it is looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
-_FIXED_EVERY = 5  # frames from one look at furniture to the next
+_FIXED_S = 0.5  # from one look at furniture to the next
 _LEAST_PATCH = 40  # px, fewer of an object's colour are something else
 
 
@@ -73,13 +74,13 @@ class _Memory:
         scale: The depth camera's factor.
         trackers: One an object.
         touched: Objects that a hand was near: they may lie otherwise than at first.
-        frames: How many there were.
+        since_s: Since furniture was looked at [s].
     """
 
     scale: float
     trackers: list[Tracker]
     touched: set[int] = field(default_factory=set)
-    frames: int = 0
+    since_s: float = math.inf
 
 
 class RgbdPerceiver(SeeingPerceiver):
@@ -98,6 +99,7 @@ class RgbdPerceiver(SeeingPerceiver):
         self._settings = settings or RgbdSettings()
         super().__init__(task, num_worlds, self._settings.mounting)
         self._meshes: tuple[ObjectMesh, ...] = ()
+        self._doors: dict[int, tuple[int, np.ndarray]] = {}
 
     def _begin_world(self, eyes: Eyes, row: int) -> None:
         eyes.memory = _Memory(scale=d435.episode_scale(self._settings.noise, eyes.rng), trackers=[])
@@ -105,6 +107,7 @@ class RgbdPerceiver(SeeingPerceiver):
     def _open(self, sim: Simulation) -> VisualModel:
         visual, model = VisualModel(sim.model), sim.model
         self._meshes = known_meshes(sim.scene)
+        self._doors = doors(model, self._meshes)
         alpha = model.geom_rgba[:, 3]
         self._transparent = np.flatnonzero(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT))
         pelvis = model.body("pelvis").id
@@ -119,8 +122,9 @@ class RgbdPerceiver(SeeingPerceiver):
         if not memory.trackers:
             known = visual.intrinsics.scaled(settings.focal_factor)
             memory.trackers = [Tracker(mesh.scaled(settings.mesh_scale), known) for mesh in self._meshes]
-        trackers, due = memory.trackers, self._due(memory)
-        memory.frames += 1
+        trackers, due = memory.trackers, self._due(memory, eyes.dt_s)
+        for k in set(range(len(trackers))) - set(due):
+            trackers[k].skip(eyes.dt_s)
         if not due:
             return [sighting_of(tracker) for tracker in trackers]
         window = self._window([trackers[k] for k in due], T_odom_optical, visual)
@@ -137,17 +141,22 @@ class RgbdPerceiver(SeeingPerceiver):
                 memory.touched.add(k)
             carried = self._carried(k, trackers)
             lies = self._faces(k, tracker, T_odom_optical, found[k], frame.window) if carried is None else carried
-            tracker.update(depth, found[k], frame.window, T_odom_optical, STEP_DT, motions, in_front[k], lies)
+            expected = self._expected(k, memory)
+            tracker.update(
+                depth, found[k], frame.window, T_odom_optical, eyes.dt_s, motions, in_front[k], lies, expected
+            )
             if carried is not None and k not in memory.touched:
                 tracker.settle(T_odom_optical, carried)
         return [sighting_of(tracker) for tracker in trackers]
 
-    def _due(self, memory: _Memory) -> list[int]:
+    def _due(self, memory: _Memory, dt_s: float) -> list[int]:
         """Return the objects to be looked at in this frame."""
-        if memory.frames % _FIXED_EVERY == 0:
-            return list(range(len(memory.trackers)))
-        seen = [tracker.track is not None and tracker.track.valid for tracker in memory.trackers]
-        return [k for k, mesh in enumerate(self._meshes) if not (mesh.fixed and seen[k])]
+        memory.since_s += dt_s
+        everything = memory.since_s > _FIXED_S - 0.5 * dt_s
+        if everything:
+            memory.since_s = 0.0
+        pairs = enumerate(zip(self._meshes, memory.trackers, strict=True))
+        return [k for k, (mesh, tracker) in pairs if everything or not mesh.fixed or tracker.track is None]
 
     def _masks(
         self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: dict[int, Tracker], T_odom_optical: np.ndarray
@@ -215,6 +224,19 @@ class RgbdPerceiver(SeeingPerceiver):
         turn = entry.yaw - self._task.objects[carrier].yaw
         return track.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
 
+    def _expected(self, k: int, memory: _Memory) -> np.ndarray | None:
+        """Return where (4, 4) furniture stands by its door, in odometry coordinates; None for any place.
+
+        A door that nobody has touched is closed.
+        """
+        if k not in self._doors:
+            return None
+        door, T_door_object = self._doors[k]
+        track = memory.trackers[door].track
+        if track is None or not track.valid or door in memory.touched:
+            return None
+        return track.T_odom_object @ T_door_object
+
     def _faces(
         self, k: int, tracker: Tracker, T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
     ) -> np.ndarray | None:
@@ -230,6 +252,31 @@ class RgbdPerceiver(SeeingPerceiver):
         middle = middle + window.corner
         sight = T_odom_optical[:3, :3] @ tracker.intrinsics.unproject(middle, np.array(1.0))
         return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
+
+
+def doors(model: mujoco.MjModel, meshes: Sequence[ObjectMesh]) -> dict[int, tuple[int, np.ndarray]]:
+    """Return the door of each piece of furniture that has one among the tracked objects.
+
+    Args:
+        model: Of the scene.
+        meshes: Of its tracked objects.
+
+    Returns:
+        By the furniture's number, the door's, and where (4, 4) the furniture is from the door that is closed.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bodies = [model.body(mesh.name).id for mesh in meshes]
+    T_world = [poses.pose(data.xpos[body], data.xquat[body]) for body in bodies]
+    found = {}
+    for door, body in enumerate(bodies):
+        above = int(model.body_parentid[body])
+        while above > 0:
+            for k, mesh in enumerate(meshes):
+                if mesh.fixed and bodies[k] == above:
+                    found[k] = door, poses.invert(T_world[door]) @ T_world[k]
+            above = int(model.body_parentid[above])
+    return found
 
 
 def sighting_of(tracker: Tracker) -> Sighting | None:

@@ -19,6 +19,7 @@ from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.robot import g1
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.timing import STEP_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +63,8 @@ class Eyes:
         T_mounted_known: (4, 4) where the robot takes its camera to be, seen from where it is.
         T_odom_world: (4, 4) the world in odometry coordinates.
         T_world_optical: (4, 4) the camera's last pose; None at first.
+        time_s: Of the world at the last look [s]; None at first.
+        dt_s: From the last look to this one [s].
         palms: The palms' last poses (4, 4) in odometry coordinates, by side.
         shown: The pose (4, 4) of each object that was told last, in odometry coordinates.
         memory: What else a source remembers of this world.
@@ -71,6 +74,8 @@ class Eyes:
     T_mounted_known: np.ndarray
     T_odom_world: np.ndarray = field(default_factory=lambda: np.eye(4))
     T_world_optical: np.ndarray | None = None
+    time_s: float | None = None
+    dt_s: float = STEP_DT
     palms: dict[str, np.ndarray] = field(default_factory=dict)
     shown: list[np.ndarray | None] = field(default_factory=list)
     memory: object = None
@@ -108,7 +113,7 @@ class SeeingPerceiver(ABC):
     def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
         """Look at some worlds (n,); a world that has not begun begins with its number as seed."""
         visual = self._opened(sim)
-        qpos = sim.qpos
+        qpos, times = sim.qpos, sim.time
         bodies = np.argsort(sim.model.body_mocapid, kind="stable")[sim.model.nbody - sim.model.nmocap :]
         mocap = [sim.pose(sim.model.body(body).name) for body in bodies]
         palms = {side: sim.pose(f"{side}_palm") for side in g1.SIDES}
@@ -124,6 +129,9 @@ class SeeingPerceiver(ABC):
             visual.place(qpos[row], positions, np.array([quat for _, quat in placed]).reshape(-1, 4))
             T_odom_optical = self._moved(eyes, visual.camera_pose())
             now = {side: eyes.T_odom_world @ palms[side][row] for side in palms}
+            if eyes.time_s is not None:
+                eyes.dt_s = round(max(float(times[row]) - eyes.time_s, 0.0), 4)
+            eyes.time_s = float(times[row])
             seen = self._look(visual, eyes, T_odom_optical, now)
             eyes.palms = now
             sightings.append(seen)

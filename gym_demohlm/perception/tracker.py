@@ -104,6 +104,7 @@ class Tracker:
         hand_motions: Sequence[np.ndarray] = (),
         hiders: np.ndarray | None = None,
         R_odom_object: np.ndarray | None = None,
+        T_odom_expected: np.ndarray | None = None,
     ) -> Track | None:
         """Look at a frame.
 
@@ -118,6 +119,7 @@ class Tracker:
             hiders: (height, width) bool of the window, known things that may hide the object: the robot, other objects.
             R_odom_object: (3, 3) how the object lies, for the first time, within a right angle about the vertical;
                 upright by default.
+            T_odom_expected: (4, 4) where the object is, as far as other things tell, as long as it was not seen whole.
 
         Returns:
             What is known now; None as long as it has never been seen.
@@ -129,12 +131,12 @@ class Tracker:
         if self.track is not None and self.track.age_s <= _FORGET_S:
             result, quality = self._follow(view, T_odom_optical, hand_motions)
         if quality is None or not _believed(quality) or (whole and self._found_in_part):
-            found, found_quality = self.register(view, T_odom_optical, R_odom_object)
+            found, found_quality = self.register(view, T_odom_optical, R_odom_object, T_odom_expected)
             if quality is None or found_quality.score > quality.score + _PREFERENCE:
                 result, quality, registered = found, found_quality, True
         if result is None or not _believed(quality):
             return self._held(dt)
-        self._found_in_part = (registered or self._found_in_part) and not whole
+        self._found_in_part = (registered or self._found_in_part) and not whole and T_odom_expected is None
         T_odom_object = T_odom_optical @ result.T
         self._moving, self._motion = False, np.eye(4)
         if self.track is not None and self.track.valid and not registered:
@@ -152,6 +154,15 @@ class Tracker:
             registered=registered,
         )
         return self.track
+
+    def skip(self, dt: float) -> None:
+        """Let a frame pass without a look: what was seen counts as seen, and what was not grows older.
+
+        Args:
+            dt: Time since the last frame [s].
+        """
+        if self.track is not None and not self.track.valid:
+            self._held(dt)
 
     def settle(self, T_odom_optical: np.ndarray, R_odom_object: np.ndarray) -> None:
         """Choose anew among the poses that look the same, if another lies twice as near to how the object lies.
@@ -259,16 +270,22 @@ class Tracker:
         return result
 
     def register(
-        self, view: fit.View, T_odom_optical: np.ndarray, R_odom_object: np.ndarray | None = None
+        self,
+        view: fit.View,
+        T_odom_optical: np.ndarray,
+        R_odom_object: np.ndarray | None = None,
+        T_odom_expected: np.ndarray | None = None,
     ) -> tuple[fit.Fit, fit.Quality]:
         """Find the object anew, from many starts and, if it was seen before, from where it was.
 
         Of two poses that explain the frame almost alike, the one where it was is taken: most things are still there.
+        Furniture that the image's border cuts off is nowhere else: a part of it looks like other parts.
 
         Args:
             view: Depth and mask.
             T_odom_optical: The camera's pose in odometry coordinates, z up.
             R_odom_object: (3, 3) roughly how the object lies, if it was never seen; upright by default.
+            T_odom_expected: (4, 4) where it is, as far as other things tell, if it was never seen whole.
 
         Returns:
             Of all poses that look the same the one that lies most like the default, and its quality.
@@ -277,10 +294,14 @@ class Tracker:
         still = None
         if self.was_whole:
             assert self.track is not None
-            R_odom_object = self.track.T_odom_object[:3, :3]
-            still = self._fitted_where_it_was(view, T_odom_optical)
+            T_odom_expected = self.track.T_odom_object
+        if T_odom_expected is not None:
+            R_odom_object = T_odom_expected[:3, :3]
+            still = self._fitted_from(poses.invert(T_odom_optical) @ T_odom_expected, view, T_odom_optical)
             if still[1].score > _BEST_SCORE - _PREFERENCE:
                 return still  # no other pose explains the frame better by enough
+            if self.shape.mesh.fixed and not self._is_whole(view):
+                return still
         placed = [self._placed(R_optical_odom @ start, view) for start in _starts(R_odom_object, still is not None)]
         rough = [
             fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
@@ -300,10 +321,8 @@ class Tracker:
             return still
         return best, best_quality
 
-    def _fitted_where_it_was(self, view: fit.View, T_odom_optical: np.ndarray) -> tuple[fit.Fit, fit.Quality]:
-        """Fit from where the object was when it was seen last."""
-        T = self.expected(T_odom_optical)
-        assert T is not None
+    def _fitted_from(self, T: np.ndarray, view: fit.View, T_odom_optical: np.ndarray) -> tuple[fit.Fit, fit.Quality]:
+        """Fit from where the object should be, ``T_optical_object``."""
         result = fit.fit(self.shape, T, view, self._prior(T, T_odom_optical, handled=True), _FINE_ITERATIONS, reach=12)
         return result, fit.assess(self.shape, result.T, view, result.scale)
 
