@@ -315,6 +315,12 @@ VERBS = (
         example="demohlm benchmark robustness --policy outputs/act/checkpoints/last/pretrained_model --task LiftBox",
     ),
     Verb(
+        name="benchmark tracking",
+        group="benchmarks",
+        help="measure how near object poses from drawn pictures come to the truth, and what a frame costs",
+        example="demohlm benchmark tracking --tasks LiftBox",
+    ),
+    Verb(
         name="benchmark variation",
         group="benchmarks",
         help="probe what generation makes of worlds that vary, one group of factors at a time",

@@ -5,6 +5,7 @@ from typing import Any
 
 from lerobot_demohlm.experiments.controller_tables import followed, pairs, robustness
 from lerobot_demohlm.experiments.lines import Measurement, Result
+from lerobot_demohlm.experiments.perception_tables import fit_table, tracking_table
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
 from lerobot_demohlm.experiments.tables import EARLIER, markdown
 from lerobot_demohlm.experiments.variants import stamp
@@ -162,6 +163,8 @@ MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = 
     ("lint.jsonl", "Checks of the tasks", _lint),
     ("variation.jsonl", "Worlds that vary", variation_table),
     ("feedback.jsonl", "What the closed loop is worth", feedback_table),
+    ("tracking.jsonl", "Seen objects", tracking_table),
+    ("perception.jsonl", "Fitted errors of seen objects", fit_table),
     ("generation_time.jsonl", "Time of generation", _time),
     ("controller.jsonl", "Whole-body controller", followed),
     ("controller_pairs.jsonl", "Controllers in pairs", pairs),
