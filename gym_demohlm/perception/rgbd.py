@@ -1,6 +1,7 @@
 """Drawn depth with a D435's errors, and masks -> tracked objects: what a robot with this software would know.
 
-Furniture stays where it stands, so it is looked at twice a second only. One that was seen counts as seen in between.
+Furniture stays where it stands. Once it is known where, it is looked at twice a second only, and counts as seen in
+between.
 """
 
 import math
@@ -155,8 +156,8 @@ class RgbdPerceiver(SeeingPerceiver):
         everything = memory.since_s > _FIXED_S - 0.5 * dt_s
         if everything:
             memory.since_s = 0.0
-        pairs = enumerate(zip(self._meshes, memory.trackers, strict=True))
-        return [k for k, (mesh, tracker) in pairs if everything or not mesh.fixed or tracker.track is None]
+        numbers = range(len(memory.trackers))
+        return [k for k in numbers if everything or not (self._meshes[k].fixed and _can_wait(memory.trackers[k]))]
 
     def _masks(
         self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: dict[int, Tracker], T_odom_optical: np.ndarray
@@ -252,6 +253,11 @@ class RgbdPerceiver(SeeingPerceiver):
         middle = middle + window.corner
         sight = T_odom_optical[:3, :3] @ tracker.intrinsics.unproject(middle, np.array(1.0))
         return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
+
+
+def _can_wait(tracker: Tracker) -> bool:
+    """Return whether furniture need not be looked at in each frame: its place is known, or it was lost."""
+    return tracker.track is not None and (tracker.is_settled or not tracker.track.valid)
 
 
 def doors(model: mujoco.MjModel, meshes: Sequence[ObjectMesh]) -> dict[int, tuple[int, np.ndarray]]:

@@ -28,6 +28,7 @@ _ROUGHLY_FITTED, _REFINED = 8, 3  # of the starts
 _BELIEVED_IOU, _BELIEVED_INLIERS = 0.55, 0.45
 _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
+_SETTLED = 20  # frames, after which those that come before it is in full view are over
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
 _BEST_SCORE = fit.Quality(inliers=1.0, iou=1.0).score
 _PREFERENCE = 0.05  # by which a pose from nowhere must explain the frame better
@@ -84,6 +85,7 @@ class Tracker:
         self._T_odom_optical = np.eye(4)  # when it was last seen
         self._moving, self._motion = False, np.eye(4)  # in odometry coordinates, from frame to frame
         self._found_in_part = False  # registered as the image's border cut it off; to be done again in full view
+        self._looks = 0  # that showed it since it was found
 
     def expected(self, T_odom_optical: np.ndarray) -> np.ndarray | None:
         """Return where the object should be, ``T_optical_object``, or None before it was seen."""
@@ -93,6 +95,11 @@ class Tracker:
     def was_whole(self) -> bool:
         """Whether how the object lies is known: it was seen, and not only in part."""
         return self.track is not None and not self._found_in_part
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether it was seen often since it was found, so that one more frame tells little."""
+        return self._looks >= _SETTLED
 
     def update(
         self,
@@ -137,6 +144,7 @@ class Tracker:
         if result is None or not _believed(quality):
             return self._held(dt)
         self._found_in_part = (registered or self._found_in_part) and not whole and T_odom_expected is None
+        self._looks = 1 if registered else self._looks + 1
         T_odom_object = T_odom_optical @ result.T
         self._moving, self._motion = False, np.eye(4)
         if self.track is not None and self.track.valid and not registered:
