@@ -24,7 +24,17 @@ from lerobot_demohlm.hardware.records import Mode
 TOGETHER = 10  # starts in one session of robot and deployment, and in one line
 DOMAIN = 182
 EPISODE_S = 60.0
-_COUNTED = ("states", "late", "executed", "gaps_over_40_ms", "gap_p99_ms", "gap_max_ms", "violations", "bad_crc")
+_COUNTED = (
+    "states",
+    "late",
+    "executed",
+    "gaps_over_40_ms",
+    "gap_p99_ms",
+    "gap_max_ms",
+    "violations",
+    "worst",
+    "bad_crc",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
