@@ -83,6 +83,9 @@ def test_a_box_with_tags_is_told_where_it_is_and_lost_when_its_tags_are_out_of_s
     assert np.median(off) < 4.0
     before = seen.T_camera_object[0, 0]
     sim.set_pose("box", poses.pose([-3.0, 0.0, 1.0]))
+    later = sim.snapshot()
+    later["physics"][:, 0] += 0.1  # s: the world's time goes on, nothing moves
+    sim.restore(later)
     gone = perceiver.observe(sim, row)
     assert not gone.valid.any() and gone.age_s[0, 0] == pytest.approx(0.1)
     assert np.linalg.norm(gone.T_camera_object[0, 0, :3, 3] - before[:3, 3]) < 0.02
