@@ -20,8 +20,8 @@ from gym_demohlm.perception import fit
 from gym_demohlm.perception.camera import Intrinsics, Window
 from gym_demohlm.perception.d435 import DepthNoise
 from gym_demohlm.perception.meshes import ObjectMesh
+from gym_demohlm.perception.starts import starts
 
-NUM_STARTS = 24
 LEAST_PIXELS = 40  # a smaller mask shows nothing
 _ROUGH_ITERATIONS, _FINE_ITERATIONS, _TRACK_ITERATIONS = 4, 8, 6
 _ROUGHLY_FITTED, _REFINED = 8, 3  # of the starts
@@ -310,7 +310,7 @@ class Tracker:
                 return still  # no other pose explains the frame better by enough
             if self.shape.mesh.fixed and not self._is_whole(view):
                 return still
-        placed = [self._placed(R_optical_odom @ start, view) for start in _starts(R_odom_object, still is not None)]
+        placed = [self._placed(R_optical_odom @ start, view) for start in starts(R_odom_object, still is not None)]
         rough = [
             fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
             for T in self._best(placed, view, _ROUGHLY_FITTED)
@@ -385,28 +385,6 @@ def _good(quality: fit.Quality) -> bool:
     return quality.iou > _GOOD_IOU and quality.inliers > _GOOD_INLIERS
 
 
-def _starts(R_odom_object: np.ndarray | None, known: bool) -> list[np.ndarray]:
-    """Return orientations (3, 3) in odometry coordinates to start from.
-
-    Args:
-        R_odom_object: (3, 3) how the object lay; roughly how it lies, within a right angle; or None.
-        known: Whether it was seen to lie like that.
-    """
-    if R_odom_object is None:
-        return [_about_z(2.0 * math.pi * k / NUM_STARTS) for k in range(NUM_STARTS)]
-    if not known:
-        return [_about_z(angle) @ R_odom_object for angle in np.linspace(-math.pi / 2, math.pi / 2, NUM_STARTS)]
-    tilts = [np.zeros(3), *(angle * np.eye(3)[axis] for axis in range(3) for angle in (-1.0, -0.5, 0.5, 1.0))]
-    near = [poses.rotation_from_vector(tilt) @ R_odom_object for tilt in tilts]
-    rest = NUM_STARTS - len(near)
-    return near + [_about_z(2.0 * math.pi * k / rest) for k in range(rest)]
-
-
 def _angle(T: np.ndarray, R: np.ndarray) -> float:
     """Return the angle between two orientations [rad]; a pose counts by its orientation."""
     return float(np.linalg.norm(poses.rotation_vector(T[:3, :3] @ R.T)))
-
-
-def _about_z(angle: float) -> np.ndarray:
-    """Return a turn (3, 3) about the vertical [rad]."""
-    return poses.planar(0.0, 0.0, angle)[:3, :3]

@@ -12,7 +12,7 @@ import tyro
 from PIL import Image
 
 from gym_demohlm.registry import get_task
-from lerobot_demohlm.benchmarks.perception import drawn
+from lerobot_demohlm.benchmarks.tracking import drawn
 from lerobot_demohlm.reports.readme_pictures import FILM_STRIDE, write_film
 
 

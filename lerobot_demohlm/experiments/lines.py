@@ -4,7 +4,7 @@ A line says what was measured, by which command, at which commit. Lines that an 
 field that it did not know has a default here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -228,3 +228,13 @@ def read_measurements(path: Path) -> list[Measurement]:
         values = {name: value for name, value in line.items() if name not in ("command", "commit")}
         found.append(Measurement(values=values, command=origin.command, commit=origin.commit))
     return found
+
+
+def newest[R: Result](lines: Iterable[R], *keys: str) -> list[R]:
+    """Keep the last line of each combination of keys, in the order of the keys' values."""
+
+    def value(line: R, key: str) -> Any:  # noqa: ANN401
+        return line.get(key) if isinstance(line, Measurement) else getattr(line, key)
+
+    kept = {tuple(str(value(line, key)) for key in keys): line for line in lines}
+    return [kept[key] for key in sorted(kept)]

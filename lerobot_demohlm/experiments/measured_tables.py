@@ -1,25 +1,13 @@
 """Lines of benchmarks and checks, a file each in ``results/``, -> the tables of ``docs/results.md`` made from them."""
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from lerobot_demohlm.experiments.controller_tables import followed, pairs, robustness
-from lerobot_demohlm.experiments.lines import Measurement, Result
+from lerobot_demohlm.experiments.lines import Measurement, newest
 from lerobot_demohlm.experiments.perception_tables import fit_table, tracking_table
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
 from lerobot_demohlm.experiments.tables import EARLIER, markdown
 from lerobot_demohlm.experiments.variants import stamp
-
-
-def newest[R: Result](lines: Iterable[R], *keys: str) -> list[R]:
-    """Keep the last line of each combination of keys, in the order of the keys' values."""
-
-    def value(line: R, key: str) -> Any:  # noqa: ANN401
-        return line.get(key) if isinstance(line, Measurement) else getattr(line, key)
-
-    kept = {tuple(str(value(line, key)) for key in keys): line for line in lines}
-    return [kept[key] for key in sorted(kept)]
-
 
 SHARES = {
     "mj_step": "`mj_step`",

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from lerobot_demohlm.experiments.lines import Measurement
+from lerobot_demohlm.experiments.lines import Measurement, newest
 from lerobot_demohlm.experiments.tables import markdown
 
 
@@ -18,7 +18,7 @@ def tracking_table(lines: Sequence[Measurement]) -> str:
             str(line["found_again_late"]),
             _both(line["frame_cpu_ms"]),
         ]
-        for line in _newest(lines)
+        for line in newest(lines, "task", "object")
     ]
     header = ["task, object", "frames that show it", "off [mm]", "turned [deg]", "not found", "late", "a frame [ms]"]
     note = (
@@ -39,16 +39,11 @@ def fit_table(lines: Sequence[Measurement]) -> str:
             *(f"{line['rgbd'][name]:.2g}, {line['model'][name]:.2g}" for name in names),
             f"{100 * line['largest_deviation']:.0f} %",
         ]
-        for line in _newest([line for line in lines if line.get("fresh_attempts")])
+        for line in newest([line for line in lines if line.get("fresh_attempts")], "task", "object")
     ]
     header = ["task, object", "episodes: fitted to, fresh", "off, median [mm]: `rgbd`, `model`", "90 %"]
     header += ["turned, median [deg]", "90 %", "largest deviation"]
     return f"**Errors of `rgbd` and of the model fitted to them**, on fresh episodes\n\n{markdown(header, rows)}"
-
-
-def _newest(lines: Sequence[Measurement]) -> list[Measurement]:
-    kept = {(line["task"], line["object"]): line for line in lines}
-    return [kept[key] for key in sorted(kept)]
 
 
 def _both(quantiles: dict[str, float]) -> str:

@@ -14,11 +14,12 @@ from lerobot_demohlm.experiments import paper, robustness
 from lerobot_demohlm.experiments.lines import (
     GenerationResult,
     Result,
+    newest,
     read_generation,
     read_measurements,
     read_policies,
 )
-from lerobot_demohlm.experiments.measured_tables import MEASURED, newest
+from lerobot_demohlm.experiments.measured_tables import MEASURED
 from lerobot_demohlm.experiments.tables import (
     EARLIER,
     age,

@@ -37,7 +37,7 @@ def run(options: Options) -> None:
     """
     from gym_demohlm.errors import DatasetError
     from gym_demohlm.registry import all_tasks, get_task
-    from lerobot_demohlm.benchmarks.perception import measure
+    from lerobot_demohlm.benchmarks.tracking import measure
     from lerobot_demohlm.experiments.lines import read_measurements
     from lerobot_demohlm.experiments.perception_tables import tracking_table
     from lerobot_demohlm.reproducibility.results import append_result
