@@ -1,7 +1,6 @@
 """The shipped controller on the deployment model stands, walks where it is told, squats and bends; training runs."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +8,9 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command
-from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights, WholeBodyController
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.wbc.evaluation import benchmark
+from gym_demohlm.wbc.evaluation import benchmark, calibration
 
 
 def _drive(change: dict[int, float], seconds: float) -> tuple[Simulation, np.ndarray]:
@@ -74,28 +73,34 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     train.train(tmp_path / "run", config, hours=1 / 3600, resume=True)
     more = (tmp_path / "run" / "log.jsonl").read_text()
     assert json.loads(more.splitlines()[-1])["iteration"] > len(lines)
-    if num_processes == 1:
-        train.train(
-            tmp_path / "run", replace(config, max_steps=1), hours=1.0, resume=True
-        )  # it has made more than that
+    if num_processes == 1:  # it has made more steps than these
+        train.train(tmp_path / "run", replace(config, max_steps=1), hours=1.0, resume=True)
         assert (tmp_path / "run" / "log.jsonl").read_text() == more
 
 
 def test_a_first_evaluation_finds_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = pytest.importorskip("gym_demohlm.wbc.training.train")
-    from gym_demohlm.wbc.evaluation import benchmark, calibration
     from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
 
     def quick(path: Path) -> dict[str, float]:
         return {"iteration": WholeBodyController(1, path).weights.metadata["iteration"]}
 
     monkeypatch.setattr(benchmark, "quick", quick)
-    monkeypatch.setattr(calibration, "calibrate", shutil.copy)  # minutes of robots that fall
+    monkeypatch.setattr(calibration, "_NUM_ROBOTS", 4)  # robots that fall are slow to simulate
     mdp = MdpConfig(num_worlds=8, num_variants=1)
     config = TrainConfig(mdp=mdp, num_processes=1, save_every=1000, evaluate_every=1, max_steps=2 * 24 * 8)
     train.train(tmp_path / "run", config, hours=1.0)
     lines = (tmp_path / "run" / "evaluation.jsonl").read_text().splitlines()
     assert [json.loads(line)["deployment/iteration"] for line in lines] == [1, 2]
+
+
+def test_calibration_maps_the_velocity_of_robots_that_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibration, "_NUM_ROBOTS", 32)
+    calibration.calibrate(DEFAULT_WEIGHTS, tmp_path / "calibrated.npz")
+    found = Weights(tmp_path / "calibrated.npz").settings
+    assert found.gain[:2] == (1.0, 1.0)
+    assert found.velocity_map and np.isfinite(found.velocity_map).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["calibrated.npz"]
 
 
 def test_exploration_can_be_held(tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def test_errors_of_a_model_are_recorded_and_repeated(exact: Path, tmp_path: Path
         assert (plain[STATE][1:count] != other[STATE][1:count]).any()  # the neck turns to where the box seems to be
     facts = read_facts(tmp_path / "seen")
     assert facts["perception"] == "model" and PERCEPTION_FIT not in read_facts(exact)
+    assert verify(tmp_path / "seen", TASK).identical
     assert verify(tmp_path / "seen", TASK, [1]).identical  # alone as among others
     (tmp_path / "seen" / FACTS_PATH).write_text(json.dumps(facts | {PERCEPTION_FIT: "0" * 64}))
     assert any(line.startswith(PERCEPTION_FIT) for line in mismatches(read_facts(tmp_path / "seen"), TASK))
