@@ -8,6 +8,7 @@ v, so the first one's middle is (0, 0).
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from gym_demohlm import poses
@@ -113,6 +114,11 @@ class Window:
         """Rows and columns of the rectangle in the whole image."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
+    def slices_in(self, window: "Window") -> tuple[slice, slice]:
+        """Rows and columns of the rectangle in a larger one that holds it."""
+        top, left = self.top - window.top, self.left - window.left
+        return slice(top, top + self.height), slice(left, left + self.width)
+
     @property
     def corner(self) -> np.ndarray:
         """(2,) column and row of the first pixel."""
@@ -122,6 +128,12 @@ class Window:
 def whole(intrinsics: Intrinsics) -> Window:
     """Return the window of the whole image."""
     return Window(left=0, top=0, width=intrinsics.width, height=intrinsics.height)
+
+
+def window_of(mask: np.ndarray, window: Window) -> Window | None:
+    """Return the smallest window that holds the pixels of a mask (height, width) bool of a window; None for none."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    return Window(left=window.left + left, top=window.top + top, width=width, height=height) if width else None
 
 
 def window_around(uv: np.ndarray, margin: float, intrinsics: Intrinsics, least: int = 48) -> Window | None:

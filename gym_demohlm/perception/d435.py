@@ -9,20 +9,21 @@ many of their pixels have no depth are guesses. Each episode has one error of sc
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import cv2
 import numpy as np
 
 from gym_demohlm.errors import SceneError
+from gym_demohlm.perception import smooth_noise
 
 HOLE = 0.0
 """Depth of a pixel that was not measured, as in the camera's own stream."""
 
 _EDGE = 0.5  # px of disparity between neighbours at an edge
 _SHADOW_STEPS = (4, 8, 12, 16, 24)  # px, where a nearer thing is looked for
-_KERNEL_REACH = 4  # a Gaussian kernel's half length in standard deviations
-_SMOOTH = 2.0  # px of blur, from which on noise is drawn at half the resolution
 _JITTER_BLUR = 2.0  # px, over which an edge's place errs one way
+_GLASS_BLUR = 4.0  # px, of the patches of glass that have no depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,10 +127,11 @@ def measure(
     holes = (depth < noise.nearest) | (depth > noise.farthest)
     if noise.edge_holes > 0 or noise.speckle > 0:
         low, high = cv2.erode(disparity, _square(2)), cv2.dilate(disparity, _square(2))
-        chance = rng.random(shape, np.float32)
-        holes |= (high - low > 2.0 * _EDGE) & (chance < noise.edge_holes) | (chance < noise.speckle)
+        chance = smooth_noise.piece(shape, 0.0, rng)
+        holes |= (high - low > 2.0 * _EDGE) & (chance < _quantile(noise.edge_holes))
+        holes |= chance < _quantile(noise.speckle)
     if noise.subpixel > 0:
-        disparity += np.float32(noise.subpixel) * correlated(shape, noise.correlation, rng)
+        disparity += smooth_noise.piece(shape, noise.correlation, rng, noise.subpixel)
     if noise.disparity_step > 0:
         disparity /= noise.disparity_step
         np.round(disparity, out=disparity)
@@ -138,7 +140,7 @@ def measure(
     if noise.shadow:
         holes |= shadow(true_disparity, image_focal / noise.focal)
     if through is not None and noise.transparent_holes > 0:
-        patches = correlated(shape, 4.0, rng)  # whole patches of glass have no depth
+        patches = smooth_noise.piece(shape, _GLASS_BLUR, rng)  # whole patches of glass have no depth
         holes |= through & (patches > _quantile(1.0 - noise.transparent_holes))
     measured[holes] = HOLE
     return measured.astype(np.float32, copy=False)
@@ -158,32 +160,12 @@ def shadow(disparity: np.ndarray, pixels_per_disparity: float) -> np.ndarray:
     return hidden
 
 
-def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (height, width) float32 of standard deviation 1, correlated as a Gaussian blur [px] leaves it.
-
-    Smooth noise is drawn at half the resolution or less, and interpolated.
-    """
-    if blur >= _SMOOTH:
-        rows, columns = shape
-        coarse = correlated(((rows + 1) // 2, (columns + 1) // 2), blur / 2.0, rng)
-        fine = cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
-        # Each pixel is 3/4 of a neighbour and 1/4 of the next, both ways; neighbours are alike by exp(-1 / (2 b)^2).
-        return fine * np.float32(1.0 / (0.625 + 0.375 * math.exp(-1.0 / blur**2)))
-    white = rng.standard_normal(shape, np.float32)
-    if blur <= 0:
-        return white
-    length = 2 * max(1, round(_KERNEL_REACH * blur)) + 1
-    kernel = cv2.getGaussianKernel(length, blur)
-    deviation = float((kernel**2).sum())  # of white noise after the kernel both ways
-    return cv2.sepFilter2D(white, -1, kernel, kernel) / np.float32(deviation)
-
-
 def _move_edges(disparity: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
     """Let edges tremble and near things grow; the result is a new array."""
     disparity = moved = disparity.astype(np.float32)
     if noise.edge_jitter > 0:
         rows, columns = disparity.shape
-        u, v = (np.float32(noise.edge_jitter) * correlated((rows, columns), _JITTER_BLUR, rng) for _ in range(2))
+        u, v = (smooth_noise.piece((rows, columns), _JITTER_BLUR, rng, noise.edge_jitter) for _ in range(2))
         u += np.arange(columns, dtype=np.float32)
         v += np.arange(rows, dtype=np.float32)[:, None]
         moved = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
@@ -198,6 +180,6 @@ def _square(reach: int) -> np.ndarray:
 
 def _quantile(share: float) -> float:
     """Return the number below which a share of a normal distribution lies."""
-    from statistics import NormalDist
-
-    return NormalDist().inv_cdf(min(max(share, 1e-6), 1.0 - 1e-6))
+    if share <= 0.0 or share >= 1.0:
+        return math.copysign(math.inf, share - 0.5)
+    return NormalDist().inv_cdf(share)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from gym_demohlm.perception.d435 import correlated
+from gym_demohlm.perception import smooth_noise
 
 _EDGE_BLUR = 1.0  # px
 _EDGE_CORRELATION = 4.0  # px, along which an edge errs one way
@@ -40,7 +40,7 @@ def oracle(ids: np.ndarray, geoms: Sequence[int] | np.ndarray, rng: np.random.Ge
     part = exact[near]
     blurred = cv2.GaussianBlur(part.astype(np.float32), (0, 0), _EDGE_BLUR)
     slope = 1.0 / (_EDGE_BLUR * math.sqrt(2.0 * math.pi))  # of a blurred edge [1/px]
-    error = correlated((part.shape[0], part.shape[1]), _EDGE_CORRELATION, rng)
+    error = smooth_noise.piece((part.shape[0], part.shape[1]), _EDGE_CORRELATION, rng)
     rough[near] = blurred + np.clip(jitter * slope * error, -0.49, 0.49) > 0.5
     return rough
 

@@ -110,7 +110,8 @@ class RgbdPerceiver(SeeingPerceiver):
         self._meshes = known_meshes(sim.scene)
         self._doors = doors(model, self._meshes)
         alpha = model.geom_rgba[:, 3]
-        self._transparent = np.flatnonzero(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT))
+        self._is_transparent = np.append(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT), False)  # the last: id -1
+        self._transparent = np.flatnonzero(self._is_transparent)
         pelvis = model.body("pelvis").id
         self._robot = np.append(model.body_rootid[model.geom_bodyid] == pelvis, False)  # the last: id -1
         return visual
@@ -183,9 +184,11 @@ class RgbdPerceiver(SeeingPerceiver):
         """Return ids and true depth of a window, and the measured depth."""
         frame = visual.depth_and_ids(window)
         behind = None
-        if len(self._transparent):  # behind glass that is not in the picture all is as it is drawn
-            seen = np.isin(frame.ids, self._transparent).any()
-            behind = visual.depth_and_ids(window, self._transparent).depth if seen else frame.depth
+        if len(self._transparent):  # where no glass is in the picture all is as it is drawn
+            behind = frame.depth.copy()
+            glass = camera.window_of(self._is_transparent[frame.ids], window)
+            if glass is not None:
+                behind[glass.slices_in(window)] = visual.depth_and_ids(glass, self._transparent).depth
         noise = self._settings.noise
         measured = d435.measure(
             frame.depth, noise, eyes.rng, scale=scale, image_focal=visual.intrinsics.focal, behind=behind

@@ -77,14 +77,17 @@ def test_without_noise_the_pose_is_right_to_a_third_of_a_millimetre(stage: Stage
 
 
 def test_with_noise_the_pose_is_right_to_some_millimetres(stage: Stage) -> None:
-    rng, tracker = np.random.default_rng(1), Tracker(stage.mesh, stage.visual.intrinsics)
-    errors = []
-    for _ in range(12):
-        track = tracker.update(*stage.look(d435.DepthNoise(), rng, 1.0), 0.1)
-        assert track is not None and track.valid
-        errors.append(_error(track.T_odom_object, stage.pose(), stage.task.objects[0]))
-    millimetres, degrees = np.array(errors).T
-    assert np.median(millimetres[4:]) < 4.0 and np.median(degrees[4:]) < 4.0
+    medians = []
+    for seed in range(6):
+        rng, tracker = np.random.default_rng(seed), Tracker(stage.mesh, stage.visual.intrinsics)
+        errors = []
+        for _ in range(9):
+            track = tracker.update(*stage.look(d435.DepthNoise(), rng, 1.0), 0.1)
+            assert track is not None and track.valid
+            errors.append(_error(track.T_odom_object, stage.pose(), stage.task.objects[0]))
+        medians.append(np.median(errors[4:], axis=0))
+    millimetres, degrees = np.median(medians, axis=0)
+    assert millimetres < 4.5 and degrees < 1.5
 
 
 def test_an_object_that_is_hidden_is_held_and_found_again_where_it_is_then(stage: Stage) -> None:
