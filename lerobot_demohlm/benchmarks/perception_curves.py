@@ -6,7 +6,7 @@ from typing import Any
 
 from gym_demohlm import jsonl
 from gym_demohlm.perception.settings import PerceptionSettings
-from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, SUCCESSES, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
 from lerobot_demohlm.experiments.success_curves import Panel, draw_panels
 
@@ -72,9 +72,16 @@ def measure(
             "perception": str(perception),
             "seed": seed,
             "episodes": summary["episodes"],
-            "success_held": summary["success_held"],
-            "success_ever": summary["success_ever"],
+            **{name: summary[name] for name in SUCCESSES},
         }
+
+
+def measured(lines: Path, loaded: LoadedPolicy, task: str, region: str, num_episodes: int) -> set[str]:
+    """Return the perceptions that a file of ``measure``'s lines has for a policy with as many rollouts."""
+    if not lines.exists():
+        return set()
+    wanted = {"task": task, "region": region, "policy_hash": loaded.hash[:12], "episodes": num_episodes}
+    return {line["perception"] for line in jsonl.read(lines) if wanted.items() <= line.items()}
 
 
 def draw(lines: Path, figure: Path) -> None:
@@ -89,7 +96,7 @@ def draw(lines: Path, figure: Path) -> None:
     """
     found: dict[tuple[str, str, str, str], dict[str, Any]] = {}
     for line in jsonl.read(lines):
-        if "success_held" in line:
+        if "success_strict" in line:
             found[line["task"], line["policy"], line["region"], line["perception"]] = line
     panels = []
     for axis, (source, values) in AXES.items():
@@ -100,7 +107,7 @@ def draw(lines: Path, figure: Path) -> None:
                 perception = PerceptionSettings(source=source, **{axis: value})  # pyright: ignore[reportArgumentType]
                 line = found.get((task, policy, region, str(perception)))
                 if line is not None:
-                    points.append((value, line["success_held"]["rate"], *line["success_held"]["interval"]))
+                    points.append((value, line["success_strict"]["rate"], *line["success_strict"]["interval"]))
             curves[f"{task} {region}, {policy}"] = points
         panels.append(Panel(title=f"on {source} poses", label=LABELS[axis], curves=curves))
-    draw_panels(panels, "success, held for 1 s", figure, panel_size=(3.4, 3.2))
+    draw_panels(panels, "strict success", figure, panel_size=(3.4, 3.2))

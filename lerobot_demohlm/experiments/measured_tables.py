@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from lerobot_demohlm.experiments.controller_tables import followed, pairs, robustness
 from lerobot_demohlm.experiments.lines import Measurement, newest
-from lerobot_demohlm.experiments.perception_tables import fit_table, tracking_table
+from lerobot_demohlm.experiments.perception_tables import curves_table, fit_table, tracking_table
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
 from lerobot_demohlm.experiments.tables import EARLIER, markdown
 from lerobot_demohlm.experiments.variants import stamp
@@ -153,6 +153,7 @@ MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = 
     ("feedback.jsonl", "What the closed loop is worth", feedback_table),
     ("tracking.jsonl", "Seen objects", tracking_table),
     ("perception.jsonl", "Fitted errors of seen objects", fit_table),
+    ("perception_curves.jsonl", "Policies whose eyes err", curves_table),
     ("generation_time.jsonl", "Time of generation", _time),
     ("controller.jsonl", "Whole-body controller", followed),
     ("controller_pairs.jsonl", "Controllers in pairs", pairs),

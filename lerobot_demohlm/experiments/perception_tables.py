@@ -1,4 +1,4 @@
-"""Lines of what eyes see -> tables: how near ``rgbd`` comes to the truth, and how like it its fitted model errs."""
+"""Lines of what eyes see -> tables: how near ``rgbd`` comes to the truth, how its model errs, what policies bear."""
 
 from collections.abc import Sequence
 
@@ -44,6 +44,25 @@ def fit_table(lines: Sequence[Measurement]) -> str:
     header = ["task, object", "episodes: fitted to, fresh", "off, median [mm]: `rgbd`, `model`", "90 %"]
     header += ["turned, median [deg]", "90 %", "largest deviation"]
     return f"**Errors of `rgbd` and of the model fitted to them**, on fresh episodes\n\n{markdown(header, rows)}"
+
+
+def curves_table(lines: Sequence[Measurement]) -> str:
+    """Return the success of each policy under each perception, the newest of each."""
+    latest = newest(lines, "task", "policy_hash", "perception")
+    seen = dict.fromkeys(line["perception"] for line in lines)
+    found = {(line["task"], line["policy_hash"], line["perception"]): line for line in latest}
+    policies = {(line["task"], line["policy_hash"]): line for line in latest}
+    header = ["perception", *(f"{task}, {line['policy']}" for (task, _), line in policies.items())]
+    rows = [[f"`{name}`", *(_success(found.get((*policy, name))) for policy in policies)] for name in seen]
+    note = "Share of rollouts in the plain world that succeed by the strict judge, with its 95 % interval."
+    return f"**Policies whose eyes err**, one error at a time\n\n{markdown(header, rows)}\n\n{note}"
+
+
+def _success(line: Measurement | None) -> str:
+    if line is None:
+        return ""
+    low, high = line["success_strict"]["interval"]
+    return f"{100 * line['success_strict']['rate']:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _both(quantiles: dict[str, float]) -> str:

@@ -23,8 +23,9 @@ class Options:
         perceptions: Further perceptions, such as rgbd,masks=color or model.
         num_episodes: Rollouts of each.
         num_workers: Processes.
-        results: File to which a line is appended for each.
-        figure: Draw the curves of all lines in the file of results into this image.
+        results: Folder of JSON lines; a line for each is added to its perception_curves.jsonl, and what is in it is not
+            measured again.
+        figure: Draw the curves of all lines into this image.
     """
 
     policy: Annotated[Path | None, default("none")] = None
@@ -34,7 +35,7 @@ class Options:
     perceptions: Annotated[tuple[str, ...] | None, default("none")] = None
     num_episodes: int = 50
     num_workers: int = 1
-    results: Path = Path("outputs/perception_curves.jsonl")
+    results: Path = Path("results")
     figure: Annotated[Path | None, default("none")] = None
 
 
@@ -47,13 +48,14 @@ def run(options: Options) -> None:
     """
     from gym_demohlm.errors import UnknownNameError
     from gym_demohlm.perception.settings import PerceptionSettings
-    from lerobot_demohlm.benchmarks.perception_curves import AXES, conditions, draw, measure
+    from lerobot_demohlm.benchmarks.perception_curves import AXES, conditions, draw, measure, measured
     from lerobot_demohlm.reproducibility.results import append_result
 
     for axis in options.axes:
         if axis not in AXES:
             raise UnknownNameError("axis", axis, AXES)
     chosen = [*conditions(options.axes), *map(PerceptionSettings.read, options.perceptions or ())]
+    lines = options.results / "perception_curves.jsonl"
     if options.policy is not None:
         import torch
 
@@ -62,10 +64,12 @@ def run(options: Options) -> None:
         torch.set_num_threads(1)
         loaded = load_policy(options.policy, options.task)
         command = spelled("benchmark perception", options, leave_out=("policy", "figure", "num_workers"))
+        there = measured(lines, loaded, options.task, options.region, options.num_episodes)
+        missing = [perception for perception in chosen if str(perception) not in there]
         for line in measure(
-            loaded, options.task, options.region, chosen, options.num_episodes, num_workers=options.num_workers
+            loaded, options.task, options.region, missing, options.num_episodes, num_workers=options.num_workers
         ):
-            print_json(append_result(options.results, command, line))
+            print_json(append_result(lines, command, line))
     if options.figure is not None:
-        draw(options.results, options.figure)
+        draw(lines, options.figure)
         print(options.figure)

@@ -1,14 +1,20 @@
 """Curves of success: what is drawn, and what the measures make of their lines."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from matplotlib.axes import Axes
 
+from gym_demohlm import jsonl
 from lerobot_demohlm.benchmarks import perception_curves
+from lerobot_demohlm.cli.benchmark.perception import Options, run
+from lerobot_demohlm.experiments.lines import Measurement
+from lerobot_demohlm.experiments.perception_tables import curves_table
 from lerobot_demohlm.experiments.success_curves import Panel, draw_panels
+from tests.helpers.checkpoints import save_policy
 
 
 @pytest.fixture
@@ -35,11 +41,34 @@ def test_a_curve_needs_two_points(tmp_path: Path, plotted: list[tuple[str, tuple
 
 def test_lines_become_curves_of_every_axis(tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]) -> None:
     lines = tmp_path / "lines.jsonl"
-    facts = {"task": "LiftBox", "region": "R3", "policy": "mlp"}
+    facts: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp"}
     success = {"rate": 0.8, "interval": [0.7, 0.9]}
     found = perception_curves.conditions(list(perception_curves.AXES))
-    lines.write_text("".join(json.dumps(facts | {"perception": str(c), "success_held": success}) + "\n" for c in found))
+    lines.write_text(
+        "".join(json.dumps(facts | {"perception": str(c), "success_strict": success}) + "\n" for c in found)
+    )
     perception_curves.draw(lines, tmp_path / "curves.png")
     values = [values for _, values in perception_curves.AXES.values()]
     assert len(plotted) == len(values)
     assert all(set(expected) <= set(x) for (_, x), expected in zip(plotted, values, strict=True))
+
+
+def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
+    policy = save_policy(tmp_path / "policy")
+    once = Options(policy=policy, axes=(), perceptions=("exact,bias_mm=5",), num_episodes=1, results=tmp_path)
+    run(once)
+    (first,) = jsonl.read(tmp_path / "perception_curves.jsonl")
+    assert first["episodes"] == 1 and first["success_strict"]["rate"] == 0.0  # it stands still
+    run(replace(once, perceptions=("exact,bias_mm=5", "model")))
+    again = list(jsonl.read(tmp_path / "perception_curves.jsonl"))
+    assert again[0] == first and [line["perception"] for line in again[1:]] == ["model"]
+
+
+def test_a_table_has_a_column_a_policy_and_the_newest_line_of_each_perception() -> None:
+    facts = {"task": "LiftBox", "policy": "mlp", "policy_hash": "ab", "perception": "exact"}
+    old, new = (facts | {"success_strict": {"rate": rate, "interval": [0.7, 0.95]}} for rate in (0.8, 0.9))
+    other = new | {"task": "GraspCube", "policy_hash": "cd", "perception": "model"}
+    table = curves_table([Measurement(values=line, command="", commit="") for line in (old, new, other)])
+    assert "| perception | GraspCube, mlp | LiftBox, mlp |" in table
+    assert "| `exact` |  | 90 % (70 to 95) |" in table
+    assert "| `model` | 90 % (70 to 95) |  |" in table
