@@ -1,5 +1,6 @@
-"""EraseBoard, scripted: the right gripper around the eraser, close, lift, press it on the board, wipe to the left.
+"""EraseBoard, scripted: the right gripper around the eraser, close, lift, press it on the board, wipe left, and again.
 
+The second time is for robots that were pushed away from the board the first time; for others the episode is over.
 This stands in for a person with a headset. It sends poses through the same path (inverse kinematics, command,
 controller, physics); it does not touch joints, and it does not see contact forces.
 """
@@ -21,6 +22,7 @@ LIFT = 0.06  # m, from the tray to the writing
 TO_BOARD = 0.005  # m, from the felt to the board
 PRESS = (0.005, 0.012)  # m, how far inside the board the felt is asked to be, first and last: the arm gives way
 WIPE = 0.27  # m
+SEEN_S = 1.4  # s, between the two: a success has to last a second
 STILL_S, SHORTLY_S = 1.5, 0.5  # s, at the end; who is shown that it has succeeded needs no longer
 OPEN, CLOSED = (0.0, 0.0), (0.0, 1.0)
 
@@ -49,6 +51,9 @@ def _plan(view: SceneView) -> list[Waypoint]:
         Waypoint(T_world_hands=hands(0.0), duration_s=0.8, grippers=CLOSED, settled=True),
         Waypoint(T_world_hands=hands(-0.01, up=LIFT), duration_s=1.0, grippers=CLOSED),
         Waypoint(T_world_hands=hands(pressed, up=LIFT), duration_s=0.8, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=2.6, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=SEEN_S, grippers=CLOSED),
+        Waypoint(T_world_hands=hands(pressed, up=LIFT), duration_s=2.2, grippers=CLOSED),
         Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=2.6, grippers=CLOSED),
         Waypoint(T_world_hands=hands(kept, WIPE, LIFT), duration_s=still_s, grippers=CLOSED),
     ]
