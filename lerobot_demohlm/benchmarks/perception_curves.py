@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm import jsonl
+from gym_demohlm.errors import DatasetError
 from gym_demohlm.perception.settings import PerceptionSettings
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, SUCCESSES, summarize
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
@@ -85,14 +86,14 @@ def measured(lines: Path, loaded: LoadedPolicy, task: str, region: str, num_epis
 
 
 def draw(lines: Path, figure: Path) -> None:
-    """Draw the curves of all policies in a file of ``measure``'s lines, with 95 % intervals.
+    """Draw the curves of all policies in a file of ``measure``'s lines, with 95 % intervals, an axis a panel.
 
     Args:
         lines: The file.
         figure: Image file; its folder is made.
 
     Raises:
-        DatasetError: There is no such file, or it is damaged.
+        DatasetError: There is no such file, it is damaged, or no policy was measured at two values of an axis.
     """
     found: dict[tuple[str, str, str, str], dict[str, Any]] = {}
     for line in jsonl.read(lines):
@@ -109,5 +110,8 @@ def draw(lines: Path, figure: Path) -> None:
                 if line is not None:
                     points.append((value, line["success_strict"]["rate"], *line["success_strict"]["interval"]))
             curves[f"{task} {region}, {policy}"] = points
-        panels.append(Panel(title=f"on {source} poses", label=LABELS[axis], curves=curves))
+        if any(len(points) > 1 for points in curves.values()):
+            panels.append(Panel(title=f"on {source} poses", label=LABELS[axis], curves=curves))
+    if not panels:
+        raise DatasetError(f"no curve in {lines}", "a policy at two values of an axis", "measure with --policy")
     draw_panels(panels, "strict success", figure, panel_size=(3.4, 3.2))

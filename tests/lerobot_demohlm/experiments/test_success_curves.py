@@ -5,10 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib.image
 import pytest
 from matplotlib.axes import Axes
 
 from gym_demohlm import jsonl
+from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.benchmarks import perception_curves
 from lerobot_demohlm.cli.benchmark.perception import Options, run
 from lerobot_demohlm.experiments.lines import Measurement
@@ -51,6 +53,22 @@ def test_lines_become_curves_of_every_axis(tmp_path: Path, plotted: list[tuple[s
     values = [values for _, values in perception_curves.AXES.values()]
     assert len(plotted) == len(values)
     assert all(set(expected) <= set(x) for (_, x), expected in zip(plotted, values, strict=True))
+
+
+def test_an_axis_that_was_not_measured_has_no_panel(
+    tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]
+) -> None:
+    lines = tmp_path / "lines.jsonl"
+    line: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp", "perception": "exact"}
+    line |= {"success_strict": {"rate": 0.8, "interval": [0.7, 0.9]}}
+    lines.write_text(json.dumps(line) + "\n")
+    with pytest.raises(DatasetError, match="no curve"):
+        perception_curves.draw(lines, tmp_path / "curves.png")
+    lines.write_text("".join(json.dumps(line | {"perception": p}) + "\n" for p in ("exact", "exact,latency_s=0.4")))
+    perception_curves.draw(lines, tmp_path / "curves.png")
+    assert [x for _, x in plotted] == [(0.0, 0.4)]
+    width, height = matplotlib.image.imread(tmp_path / "curves.png").shape[1::-1]
+    assert width < 1.5 * height  # one panel
 
 
 def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
