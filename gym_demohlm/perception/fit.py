@@ -295,15 +295,9 @@ def _add_depth(
     weight *= (np.abs(residual) < gate) & shape.opaque_faces[face]
     residual = np.where(weight > 0, residual, 0.0)
     along_ray = (normals * points).sum(axis=1, keepdims=True) / scale
-    J = -np.concatenate([normals, _cross(points - T[:3, 3], normals), along_ray], axis=1)
+    J = -np.concatenate([normals, np.cross(points - T[:3, 3], normals), along_ray], axis=1)
     H += (J * weight[:, None]).T @ J
     g += J.T @ (weight * residual)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross products (n, 3) of vectors (n, 3), in half the time of ``np.cross``."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def _add_outline(shape: Shape, T: np.ndarray, view: View, reach: int, H: np.ndarray, g: np.ndarray) -> None:
@@ -336,7 +330,7 @@ def _add_outline(shape: Shape, T: np.ndarray, view: View, reach: int, H: np.ndar
     x, y, z = p_optical[used].T
     du, dv = outward[used].T * (focal / z)
     gradient = np.stack([du, dv, -(du * x + dv * y) / z], axis=1)  # of the residual by the point
-    J = np.concatenate([gradient, _cross(p_optical[used] - T[:3, 3], gradient)], axis=1)
+    J = np.concatenate([gradient, np.cross(p_optical[used] - T[:3, 3], gradient)], axis=1)
     weight = share / (_OUTLINE_SIGMA**2 * (1.0 + (residual / _OUTLINE_SCALE) ** 2))
     H[:6, :6] += (J * weight[:, None]).T @ J
     g[:6] += J.T @ (weight * residual)

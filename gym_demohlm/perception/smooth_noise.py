@@ -1,8 +1,8 @@
 """Random images whose neighbouring pixels err alike: pieces of a sheet that is drawn once.
 
-Fresh noise for each frame costs as much as to draw and to track. So each process draws one sheet for each blur, always
-the same one. A frame gets a piece of it: where it is cut, and which way it is turned, is random. Two frames have a
-pixel of noise in common only if both cuts are at the same place.
+Fresh noise for each frame takes longer. So each process draws one sheet for each blur, always the same one. A frame
+gets a piece of it: where it is cut, which way it is mirrored, and its sign are random. Pieces often overlap on the
+sheet, but then they are shifted or mirrored against one another: hardly ever does a pixel err twice in the same way.
 """
 
 import functools
@@ -29,21 +29,21 @@ def piece(shape: tuple[int, int], blur: float, rng: np.random.Generator, deviati
     sheet = _sheet(blur)
     spare = np.subtract(sheet.shape, shape)
     if (spare < 0).any():
-        return np.float32(deviation) * correlated(shape, blur, rng)
+        return np.float32(deviation) * _fresh(shape, blur, rng)
     row, column, turns = rng.integers(0, [spare[0] + 1, spare[1] + 1, 8]).tolist()
     cut = sheet[row : row + shape[0], column : column + shape[1]]
     cut = cut[:: -1 if turns & 1 else 1, :: -1 if turns & 2 else 1]
     return cut * np.float32(-deviation if turns & 4 else deviation)
 
 
-def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) -> np.ndarray:
+def _fresh(shape: tuple[int, int], blur: float, rng: np.random.Generator) -> np.ndarray:
     """Return fresh noise of standard deviation 1, see ``piece``.
 
     Smooth noise is drawn at half the resolution or less, and interpolated.
     """
     if blur >= _SMOOTH:
         rows, columns = shape
-        coarse = correlated(((rows + 1) // 2, (columns + 1) // 2), blur / 2.0, rng)
+        coarse = _fresh(((rows + 1) // 2, (columns + 1) // 2), blur / 2.0, rng)
         fine = cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
         # Each pixel is 3/4 of a neighbour and 1/4 of the next, both ways; neighbours are alike by exp(-1 / (2 b)^2).
         return fine * np.float32(1.0 / (0.625 + 0.375 * math.exp(-1.0 / blur**2)))
@@ -58,4 +58,4 @@ def correlated(shape: tuple[int, int], blur: float, rng: np.random.Generator) ->
 
 @functools.cache
 def _sheet(blur: float) -> np.ndarray:
-    return correlated(_SHEET, blur, np.random.default_rng(_SHEET_SEED))
+    return _fresh(_SHEET, blur, np.random.default_rng(_SHEET_SEED))

@@ -86,7 +86,9 @@ def measured(lines: Path, loaded: LoadedPolicy, task: str, region: str, num_epis
 
 
 def draw(lines: Path, figure: Path) -> None:
-    """Draw the curves of all policies in a file of ``measure``'s lines, with 95 % intervals, an axis a panel.
+    """Draw the curves in a file of ``measure``'s lines, with 95 % intervals, an axis a panel.
+
+    Of several policies of one kind, task and region, the one that was measured last is drawn.
 
     Args:
         lines: The file.
@@ -96,9 +98,14 @@ def draw(lines: Path, figure: Path) -> None:
         DatasetError: There is no such file, it is damaged, or no policy was measured at two values of an axis.
     """
     found: dict[tuple[str, str, str, str], dict[str, Any]] = {}
+    drawn: dict[tuple[str, str, str], str] = {}
     for line in jsonl.read(lines):
         if "success_strict" in line:
-            found[line["task"], line["policy"], line["region"], line["perception"]] = line
+            kind = line["task"], line["policy"], line["region"]
+            if drawn.setdefault(kind, line["policy_hash"]) != line["policy_hash"]:
+                drawn[kind] = line["policy_hash"]
+                found = {key: other for key, other in found.items() if key[:3] != kind}
+            found[*kind, line["perception"]] = line
     panels = []
     for axis, (source, values) in AXES.items():
         curves = {}

@@ -48,11 +48,11 @@ def fit_table(lines: Sequence[Measurement]) -> str:
 
 def curves_table(lines: Sequence[Measurement]) -> str:
     """Return the success of each policy under each perception, the newest of each."""
-    latest = newest(lines, "task", "policy_hash", "perception")
+    latest = newest(lines, "task", "region", "policy_hash", "perception")
     seen = dict.fromkeys(line["perception"] for line in lines)
-    found = {(line["task"], line["policy_hash"], line["perception"]): line for line in latest}
-    policies = {(line["task"], line["policy_hash"]): line for line in latest}
-    header = ["perception", *(f"{task}, {line['policy']}" for (task, _), line in policies.items())]
+    found = {(line["task"], line["region"], line["policy_hash"], line["perception"]): line for line in latest}
+    policies = {(line["task"], line["region"], line["policy_hash"]): line for line in latest}
+    header = ["perception", *(f"{task} {region}, {line['policy']}" for (task, region, _), line in policies.items())]
     rows = [[f"`{name}`", *(_success(found.get((*policy, name))) for policy in policies)] for name in seen]
     note = "Share of rollouts in the plain world that succeed by the strict judge, with its 95 % interval."
     return f"**Policies whose eyes err**, one error at a time\n\n{markdown(header, rows)}\n\n{note}"

@@ -1,6 +1,7 @@
 """EraseBoard, scripted: the right gripper around the eraser, close, lift, press it on the board, wipe left, and again.
 
-The second time is for robots that were pushed away from the board the first time; for others the episode is over.
+The second time is for robots that were pushed away from the board the first time. Where worlds vary, and in rollouts,
+whoever succeeds at first is done; in plain worlds attempts repeat all of it.
 This stands in for a person with a headset. It sends poses through the same path (inverse kinematics, command,
 controller, physics); it does not touch joints, and it does not see contact forces.
 """

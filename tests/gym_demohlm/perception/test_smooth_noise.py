@@ -1,4 +1,4 @@
-"""Pieces of noise have the deviation and the correlation that was asked for, and are never the same twice."""
+"""Pieces of noise have the deviation and the correlation that was asked for, and are unlike one another."""
 
 import math
 
@@ -13,7 +13,7 @@ def test_a_piece_is_normal_noise_that_is_correlated_as_its_blur_leaves_it(blur: 
     rng = np.random.default_rng(5)
     noise = np.stack([smooth_noise.piece((200, 300), blur, rng, deviation=0.5) for _ in range(20)])
     assert noise.dtype == np.float32
-    # About 20 * 60,000 / (4 pi b^2) independent pixels at most: 3 % is four deviations of the estimate at b = 4.
+    # About 20 * 60,000 / (4 pi b^2) independent pixels at most: 3 % is three deviations of the estimate at b = 4.
     assert noise.std() == pytest.approx(0.5, rel=0.03)
     assert abs(noise.mean()) < 0.02
     assert np.mean(noise < 0.5 * -1.2816) == pytest.approx(0.1, abs=0.01)

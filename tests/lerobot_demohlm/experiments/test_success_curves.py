@@ -43,7 +43,7 @@ def test_a_curve_needs_two_points(tmp_path: Path, plotted: list[tuple[str, tuple
 
 def test_lines_become_curves_of_every_axis(tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]) -> None:
     lines = tmp_path / "lines.jsonl"
-    facts: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp"}
+    facts: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp", "policy_hash": "ab"}
     success = {"rate": 0.8, "interval": [0.7, 0.9]}
     found = perception_curves.conditions(list(perception_curves.AXES))
     lines.write_text(
@@ -59,7 +59,13 @@ def test_an_axis_that_was_not_measured_has_no_panel(
     tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]
 ) -> None:
     lines = tmp_path / "lines.jsonl"
-    line: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp", "perception": "exact"}
+    line: dict[str, Any] = {
+        "task": "LiftBox",
+        "region": "R3",
+        "policy": "mlp",
+        "policy_hash": "ab",
+        "perception": "exact",
+    }
     line |= {"success_strict": {"rate": 0.8, "interval": [0.7, 0.9]}}
     lines.write_text(json.dumps(line) + "\n")
     with pytest.raises(DatasetError, match="no curve"):
@@ -69,6 +75,23 @@ def test_an_axis_that_was_not_measured_has_no_panel(
     assert [x for _, x in plotted] == [(0.0, 0.4)]
     width, height = matplotlib.image.imread(tmp_path / "curves.png").shape[1::-1]
     assert width < 1.5 * height  # one panel
+
+
+def test_of_two_policies_of_a_kind_the_one_measured_last_is_drawn(
+    tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]
+) -> None:
+    lines = tmp_path / "lines.jsonl"
+    line: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp"}
+    line |= {"success_strict": {"rate": 0.8, "interval": [0.7, 0.9]}}
+    found = [("ab", 0.1), ("ab", 0.4), ("cd", 0.2), ("cd", 0.4)]
+    lines.write_text(
+        "".join(
+            json.dumps(line | {"policy_hash": policy, "perception": f"exact,latency_s={latency_s}"}) + "\n"
+            for policy, latency_s in found
+        )
+    )
+    perception_curves.draw(lines, tmp_path / "curves.png")
+    assert [x for _, x in plotted] == [(0.2, 0.4)]
 
 
 def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
@@ -83,10 +106,10 @@ def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
 
 
 def test_a_table_has_a_column_a_policy_and_the_newest_line_of_each_perception() -> None:
-    facts = {"task": "LiftBox", "policy": "mlp", "policy_hash": "ab", "perception": "exact"}
+    facts = {"task": "LiftBox", "region": "R3", "policy": "mlp", "policy_hash": "ab", "perception": "exact"}
     old, new = (facts | {"success_strict": {"rate": rate, "interval": [0.7, 0.95]}} for rate in (0.8, 0.9))
     other = new | {"task": "GraspCube", "policy_hash": "cd", "perception": "model"}
     table = curves_table([Measurement(values=line, command="", commit="") for line in (old, new, other)])
-    assert "| perception | GraspCube, mlp | LiftBox, mlp |" in table
+    assert "| perception | GraspCube R3, mlp | LiftBox R3, mlp |" in table
     assert "| `exact` |  | 90 % (70 to 95) |" in table
     assert "| `model` | 90 % (70 to 95) |  |" in table
