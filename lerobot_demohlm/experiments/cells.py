@@ -29,6 +29,7 @@ from lerobot_demohlm.policies.training import checkpoint, train
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
+CAMERAS = ("head:96x96:rgb",)  # of the datasets of policies that see
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +152,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | No
         successes_ever=sum(rollout.success_ever for rollout in rollouts),
         successes_strict=_count_strict(rollouts),
         outcomes=dict(Counter(rollout.outcome for rollout in rollouts)),
-        data_success_rate=read_facts(_dataset(cell, layout))["success_rate"],
+        data_success_rate=read_facts(layout.data(cell))["success_rate"],
         rollouts_per_hour=round(3600 * made / elapsed) if made > 0 else None,
         **json.loads(layout.times(cell).read_text()),
     )
@@ -163,18 +164,16 @@ def _count_strict(rollouts: Sequence[Rollout]) -> int | None:
     return None if None in found else sum(map(bool, found))
 
 
-def _dataset(cell: Cell, layout: Layout) -> Path:
-    return layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant)
-
-
 def _trained(cell: Cell, layout: Layout, effort: Effort) -> bool:
     """Train a cell's policy, on data that is made where it is missing; return whether there was time to begin it."""
-    dataset = _dataset(cell, layout)
+    dataset = layout.data(cell)
     if not dataset.exists():
         if effort.is_over:
             return False
         request = _request(cell, dataset)
-        generate(replace(request, num_episodes=cell.num_train_episodes, variation=VARIANTS[cell.variant]))
+        cameras = CAMERAS if cell.sees else None
+        count, variation = cell.num_train_episodes, VARIANTS[cell.variant]
+        generate(replace(request, num_episodes=count, variation=variation, cameras=cameras))
     if effort.is_over:
         return False
     _train(cell, dataset, layout, effort)
@@ -200,7 +199,11 @@ def _train(cell: Cell, dataset: Path, layout: Layout, effort: Effort) -> None:
     if not path.is_dir():
         raise DatasetError(f"no checkpoint at {path}", "what LeRobot's training writes", "look at its messages")
     samples = cell.steps * preset.batch_size
-    times = {"train_s": round(elapsed, 1), "train_samples_per_s": round(samples / elapsed)}
+    times = {
+        "train_s": round(elapsed, 1),
+        "train_samples_per_s": round(samples / elapsed),
+        "train_device": effort.device,
+    }
     temporary = end.with_suffix(".tmp")
     temporary.write_text(json.dumps(times) + "\n")
     temporary.rename(end)

@@ -30,16 +30,21 @@ class Layout:
         """Return where the success of generation goes."""
         return self.results / "generation.jsonl"
 
-    def dataset(self, task: str, region: str, size: int, variant: str = PLAIN) -> Path:
-        """Return the smallest dataset there is with so many episodes, or where to make one."""
-        held = self.datasets(task, region, variant)
+    def dataset(self, task: str, region: str, size: int, variant: str = PLAIN, *, seen: bool = False) -> Path:
+        """Return the smallest dataset there is with so many episodes, or where to make one; ``seen``: with pictures."""
+        held = self.datasets(task, region, variant, seen=seen)
         sizes = {count: path for path, count in held.items() if count >= size}
-        return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant)}_{size}"
+        return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant, seen)}_{size}"
 
-    def datasets(self, task: str, region: str, variant: str = PLAIN) -> dict[Path, int]:
-        """Return the datasets that there are, and how many episodes each has."""
-        found = (self.root / "data").glob(f"{_stem(task, region, variant)}_*[0-9]")
-        return {path: int(path.name.rpartition("_")[2]) for path in sorted(found)}
+    def datasets(self, task: str, region: str, variant: str = PLAIN, *, seen: bool = False) -> dict[Path, int]:
+        """Return the datasets that there are, with or without pictures, and how many episodes each has."""
+        found = (self.root / "data").glob(f"{_stem(task, region, variant, seen)}_*")
+        sizes = {path: path.name.removeprefix(f"{_stem(task, region, variant, seen)}_") for path in sorted(found)}
+        return {path: int(size) for path, size in sizes.items() if size.isdecimal()}
+
+    def data(self, cell: Cell) -> Path:
+        """Return where the data is that a cell is trained on, or where to make it."""
+        return self.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant, seen=cell.sees)
 
     def generation(self, cell: RegionCell, num_attempts: int) -> Path:
         """Return where the attempts of a region are made."""
@@ -59,7 +64,7 @@ class Layout:
         return self.root / "rollouts" / f"{cell.name}_{cell.stamp}_{cell.recipe}.jsonl"
 
 
-def _stem(task: str, region: str, variant: str) -> str:
+def _stem(task: str, region: str, variant: str, seen: bool) -> str:
     """Return what the names of datasets begin with."""
     made = sight_stamp(task, sight(variant))
-    return "_".join((get_task(task).slug, region.lower(), *suffix(variant), made))
+    return "_".join((get_task(task).slug, region.lower(), *suffix(variant), made, *(("seen",) if seen else ())))

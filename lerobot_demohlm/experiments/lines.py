@@ -57,6 +57,7 @@ class PolicyResult(Result):
         rollouts_per_hour: Speed of the rollouts; None where they were read from a file.
         train_s: Wall-clock time of the training [s].
         train_samples_per_s: Samples trained on per second.
+        train_device: Where it was trained, as torch calls it.
     """
 
     task: str
@@ -84,6 +85,7 @@ class PolicyResult(Result):
     rollouts_per_hour: int | None = None
     train_s: float
     train_samples_per_s: int
+    train_device: str = "cpu"
 
     @property
     def worlds(self) -> tuple[tuple[str, str], tuple[str, str]]:

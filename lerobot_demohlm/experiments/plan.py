@@ -76,7 +76,7 @@ class Cell:
     Attributes:
         task: Name of the task.
         policy: "mlp", "act" or "diffusion".
-        preset: "cpu" or "paper".
+        preset: Of its hyperparameters; one that sees trains on colour pictures instead of poses.
         num_train_episodes: Episodes it is trained on, the first of its task's dataset.
         train_seed: Of weights and order of samples.
         steps: Training steps.
@@ -111,6 +111,11 @@ class Cell:
                 "one episode and step or more, and a seed of 0 or more",
                 "correct --sizes, --seeds or --steps",
             )
+
+    @property
+    def sees(self) -> bool:
+        """Tell whether it is trained on pictures."""
+        return get_preset(self.policy, self.preset).sees
 
     @property
     def trained(self) -> str:

@@ -114,9 +114,9 @@ def _makes_what_it_needs(other: Cell | RegionCell, cell: Cell | RegionCell, layo
         return False
     if layout.training(other) == layout.training(cell):
         return not layout.times(cell).exists()
-    if (other.task, other.region, other.variant) != (cell.task, cell.region, cell.variant):
+    if (other.task, other.region, other.variant, other.sees) != (cell.task, cell.region, cell.variant, cell.sees):
         return False
-    return not layout.dataset(cell.task, cell.region, cell.num_train_episodes, cell.variant).exists()
+    return not layout.data(cell).exists()
 
 
 def describe(cell: Cell | RegionCell) -> str:
