@@ -305,11 +305,11 @@ def _compared(
 def cost_table(lines: Iterable[PolicyResult]) -> str:
     """Return what the trainings and the rollouts took."""
     rows = []
-    for (policy, preset), found in group(latest(lines), "policy", "preset").items():
+    for (policy, preset, device), found in group(latest(lines), "policy", "preset", "train_device").items():
         hours = [line.rollouts_per_hour for line in found if line.rollouts_per_hour]
         rows.append(
             [
-                f"{TITLES[policy]}, {preset}",
+                f"{TITLES[policy]}, {preset}" + ("" if device == "cpu" else f", trained on {device}"),
                 str(len(found)),
                 f"{np.median([line.train_s for line in found]) / 60:.1f} min",
                 f"{np.median([line.train_samples_per_s for line in found]):.0f}",

@@ -21,7 +21,7 @@ from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 Make = Callable[[Path, range], None]
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")  # LP: Mesa's drawing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ class ProcessWorkers:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Have processes that are started here use one thread in NumPy: they read it when they import it."""
+    """Have processes that are started here use one thread in NumPy and to draw: they read it when they begin to."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
