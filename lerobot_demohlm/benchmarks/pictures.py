@@ -4,6 +4,7 @@ All that a worker does with a block is counted, in all of its threads: attempts,
 successes as a LeRobot dataset. What a worker does once is not: compiling the scene, opening the graphics library.
 """
 
+import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -37,6 +38,7 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, cameras: Sequ
         DatasetError: A camera is not of that form.
         SceneError: This machine has nothing to draw with.
     """
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # as in a worker, who draws with one thread
     sim = Simulation(task, BLOCK_SIZE, pool=make_pool(1))
     demonstration, settings = demonstrations.load(None, task), Settings(variation=PLAIN)
     recorder, watch = StateRecorder(), Stopwatch()
