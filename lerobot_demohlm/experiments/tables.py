@@ -267,7 +267,12 @@ def worlds_table(lines: Iterable[PolicyResult]) -> str:
     def worlds(line: PolicyResult) -> str:
         return f"{line.region}, `{line.variation}`"
 
-    return _compared(title, exact, worlds, sorted({worlds(line) for line in exact if line.variation != "none"}))
+    def trained(line: PolicyResult) -> tuple[str, str, str, int, str]:
+        return line.task, line.policy, line.preset, line.num_train_episodes, line.variant
+
+    tried = {trained(line) for line in exact if line.variation != "none"}
+    chosen = [line for line in exact if trained(line) in tried]
+    return _compared(title, chosen, worlds, sorted({worlds(line) for line in chosen}))
 
 
 def perception_table(lines: Iterable[PolicyResult]) -> str:

@@ -137,10 +137,10 @@ def test_harder_worlds_stand_beside_the_papers_tables(tmp_path: Path) -> None:
         make_line(dataclasses.replace(CELL, task="PressCube"), 250),
     ]
     rows = tables.worlds_table(own).splitlines()
-    assert rows[2] == "| task | policy | episodes | data | R3, `real` | R4, `real` |"
+    assert rows[2] == "| task | policy | episodes | data | R3, `none` | R3, `real` | R4, `real` |"
     assert rows[4:] == [
-        "| LiftBox | MLP | 100 | noise | 80.0 (74.6 to 84.5), strict 60.0 | - |",
-        "| LiftBox | MLP | 100 | real | 90.0 (85.7 to 93.1), strict 88.0 | 50.0 (43.8 to 56.2), strict 40.0 |",
+        "| LiftBox | MLP | 100 | noise | 100.0 (98.5 to 100.0) | 80.0 (74.6 to 84.5), strict 60.0 | - |",
+        "| LiftBox | MLP | 100 | real | - | 90.0 (85.7 to 93.1), strict 88.0 | 50.0 (43.8 to 56.2), strict 40.0 |",
     ]
     rows = tables.perception_table(own).splitlines()
     assert rows[2] == "| task | region | policy | episodes | data | `exact` | `rgbd` |"
