@@ -31,15 +31,24 @@ class Layout:
         return self.results / "generation.jsonl"
 
     def dataset(self, task: str, region: str, size: int, variant: str = PLAIN, *, seen: bool = False) -> Path:
-        """Return the smallest dataset there is with so many episodes, or where to make one; ``seen``: with pictures."""
+        """Return the smallest dataset that has at least ``size`` episodes, or the path for a new one.
+
+        Args:
+            task: Name of the task.
+            region: Initial region.
+            size: Number of episodes.
+            variant: How the data is generated.
+            seen: Whether the dataset has pictures.
+        """
         held = self.datasets(task, region, variant, seen=seen)
         sizes = {count: path for path, count in held.items() if count >= size}
         return sizes[min(sizes)] if sizes else self.root / "data" / f"{_stem(task, region, variant, seen)}_{size}"
 
     def datasets(self, task: str, region: str, variant: str = PLAIN, *, seen: bool = False) -> dict[Path, int]:
         """Return the datasets that there are, with or without pictures, and how many episodes each has."""
-        found = (self.root / "data").glob(f"{_stem(task, region, variant, seen)}_*")
-        sizes = {path: path.name.removeprefix(f"{_stem(task, region, variant, seen)}_") for path in sorted(found)}
+        stem = _stem(task, region, variant, seen)
+        found = sorted((self.root / "data").glob(f"{stem}_*"))
+        sizes = {path: path.name.removeprefix(f"{stem}_") for path in found}
         return {path: int(size) for path, size in sizes.items() if size.isdecimal()}
 
     def data(self, cell: Cell) -> Path:

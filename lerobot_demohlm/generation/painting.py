@@ -27,7 +27,7 @@ from lerobot_demohlm.datasets.pictures import DrawnBlock, DrawnEpisode, features
 from lerobot_demohlm.generation.appearance import Appearance
 
 APPEARANCE_STREAM = 8  # first number of a seed sequence, so that its draws are no other stream's
-ENCODER_LIMIT = 0.1  # of bias and noise together, the widest of `hard` with six deviations [rad]
+ROUNDING = 1e-6  # of joint positions to float32 [rad]
 
 
 class StateRecorder:
@@ -73,7 +73,7 @@ class Painter:
     """
 
     def __init__(self, task: Task, facts: PictureFacts, variation: Variation = NONE) -> None:
-        self._task, self._facts, self._varies = task, facts, bool(variation)
+        self._task, self._facts = task, facts
         self._scene = build_scene(task, variation=variation)
         self._visuals = [
             VisualModel(self._scene.model, _intrinsics(self._scene.model, camera), camera=camera.name)
@@ -169,8 +169,8 @@ class Painter:
     ) -> DrawnEpisode:
         length = len(episode.success)
         states = [recorder.state(step, world) for step in range(length)]
-        self._require_same(episode, states[0][0])
         conditions = recorder.conditions(world)
+        self._require_same(episode, states[0][0], conditions)
         start = next(iter(writers.values())).num_frames
         columns, stats = {}, {}
         for key, frames in self.frames((episode.seed, episode.index), states, conditions).items():
@@ -186,14 +186,15 @@ class Painter:
             stats[key] = {k: v if k == "count" else np.squeeze(v / scale, axis=0) for k, v in found.items()}
         return DrawnEpisode(columns=columns, stats=stats, start=start)
 
-    def _require_same(self, episode: Episode, qpos: np.ndarray) -> None:
+    def _require_same(self, episode: Episode, qpos: np.ndarray, conditions: Conditions) -> None:
         """Raise ``DatasetError`` where a state is not the one that an episode began with.
 
-        An episode has the joints as the encoders read them, which in worlds that vary is beside where they are.
+        An episode has the joints as its world's encoders read them: off by a bias and a noise, at most, if it varies.
         """
         seen = qpos[self._scene.body_qpos].astype(np.float32)
+        limit = sum(conditions.number(f"robot.{name}", plain=0.0) for name in ("encoder_bias", "encoder"))
         off = np.abs(seen - episode.state[0, : len(seen)]).max()
-        if off > (ENCODER_LIMIT if self._varies else 0.0):
+        if off > (limit + ROUNDING if limit else 0.0):
             raise DatasetError("states of another attempt", "those of the episode", "report it")
 
     def _appearance(self, visual: VisualModel, episode_seed: tuple[int, int]) -> Appearance:
