@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from gym_demohlm import poses
 from gym_demohlm.errors import SceneError
 from gym_demohlm.perception.camera import Intrinsics, Window, head_intrinsics, whole
 from gym_demohlm.scene.shapes import Shapes
@@ -111,7 +110,7 @@ class VisualModel:
         self._groups = self.model.geom_group.copy()
         self._worn: Shapes | None = None
         self._geoms: np.ndarray | slice = slice(None) if geoms is None else geoms
-        self._measure()
+        self._bounded = self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
         self._camera.fixedcamid = self.model.camera(camera).id
@@ -141,11 +140,6 @@ class VisualModel:
         if shapes is not self._worn:
             self._worn = shapes
             shapes.put_on(self.model, self._geoms)
-            self._measure()
-
-    def _measure(self) -> None:
-        """Note how far each geom reaches from its middle."""
-        self._radius = np.where(self.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, np.inf, self.model.geom_rbound)
 
     def place(self, qpos: np.ndarray, mocap_pos: np.ndarray, mocap_quat: np.ndarray) -> None:
         """Bring bodies, camera and lights where a state has them.
@@ -245,22 +239,19 @@ class VisualModel:
             eye.frustum_center = (window.left + (window.width - 1) / 2.0 - camera.center_u) * scale
 
     def _outside(self, window: Window) -> np.ndarray:
-        """Return which geoms (ngeom,) lie wholly outside the window's pyramid."""
-        camera = self.intrinsics
-        T_optical_world = poses.invert(self.camera_pose())
-        x, y, z = (self.data.geom_xpos @ T_optical_world[:3, :3].T + T_optical_world[:3, 3]).T
+        """Return which geoms (ngeom,) lie wholly outside the window's pyramid, by their bounding boxes."""
+        camera, frames = self.intrinsics, self.data.geom_xmat.reshape(-1, 3, 3)
         right = (window.left + window.width - 0.5 - camera.center_u) / camera.focal
         left = (window.left - 0.5 - camera.center_u) / camera.focal
         bottom = (window.top + window.height - 0.5 - camera.center_v) / camera.focal
         top = (window.top - 0.5 - camera.center_v) / camera.focal
-        beyond = [
-            (x - right * z) / np.hypot(1.0, right),
-            (left * z - x) / np.hypot(1.0, left),
-            (y - bottom * z) / np.hypot(1.0, bottom),
-            (top * z - y) / np.hypot(1.0, top),
-            -z,
-        ]
-        return np.max(beyond, axis=0) > self._radius
+        outward = np.array([[1, 0, -right], [-1, 0, left], [0, 1, -bottom], [0, -1, top], [0, 0, -1]])
+        T_world_optical = self.camera_pose()
+        outward = outward @ T_world_optical[:3, :3].T
+        middle, half = self.model.geom_aabb[:, :3, None], self.model.geom_aabb[:, 3:, None]
+        centers = self.data.geom_xpos + (frames @ middle)[..., 0] - T_world_optical[:3, 3]
+        reach = (np.abs(outward @ frames) @ half)[..., 0]
+        return (centers @ outward.T > reach).any(axis=1) & self._bounded
 
     def _geom_of_code(self) -> np.ndarray:
         """Return the geom of each colour code; code 0 is the background."""
