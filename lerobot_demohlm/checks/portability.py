@@ -115,6 +115,12 @@ def recipe(preset: str) -> str:
     return _digest([repr(ranges).encode(), repr(numbers).encode()])[:8]
 
 
+@functools.cache
+def table_recipe() -> str:
+    """Return eight letters that change with the numbers by which attempts in R4 keep clear of tables."""
+    return _digest([repr(astuple(Settings().tables)).encode()])[:8]
+
+
 def packaged() -> dict[str, Any]:
     """Return what ``digests.json`` holds: ``versions``, ``parts`` and, by task, ``tasks``.
 

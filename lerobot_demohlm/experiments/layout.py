@@ -75,5 +75,5 @@ class Layout:
 
 def _stem(task: str, region: str, variant: str, seen: bool) -> str:
     """Return what the names of datasets begin with."""
-    made = sight_stamp(task, sight(variant))
+    made = sight_stamp(task, sight(variant), region=region)
     return "_".join((get_task(task).slug, region.lower(), *suffix(variant), made, *(("seen",) if seen else ())))

@@ -95,7 +95,7 @@ class PolicyResult(Result):
     @property
     def stamp_now(self) -> str:
         """What its ``stamp`` would be if it was measured now."""
-        return sight_stamp(self.task, *self.worlds)
+        return sight_stamp(self.task, *self.worlds, region=self.region)
 
     @property
     def is_plain(self) -> bool:
@@ -153,7 +153,7 @@ class GenerationResult(Result):
     @property
     def stamp_now(self) -> str:
         """What its ``stamp`` would be if it was measured now."""
-        return stamp(self.task, self.variation)
+        return stamp(self.task, self.variation, region=self.region)
 
     @property
     def is_undisturbed(self) -> bool:

@@ -136,12 +136,12 @@ class Cell:
     @property
     def data_stamp(self) -> str:
         """Return letters that change with what generation makes of its training data."""
-        return sight_stamp(self.task, sight(self.variant))
+        return sight_stamp(self.task, sight(self.variant), region=self.region)
 
     @property
     def stamp(self) -> str:
         """Return letters that change with what generation makes of its training data, and with its worlds."""
-        return sight_stamp(self.task, sight(self.variant), (self.variation, self.perception))
+        return sight_stamp(self.task, sight(self.variant), (self.variation, self.perception), region=self.region)
 
     @property
     def recipe(self) -> str:
@@ -178,7 +178,7 @@ class RegionCell:
     @property
     def stamp(self) -> str:
         """Return letters that change with what generation does in its worlds."""
-        return stamp(self.task, self.variation)
+        return stamp(self.task, self.variation, region=self.region)
 
     def is_of(self, result: GenerationResult) -> bool:
         """Tell whether a result is this cell's, as the cell would be made now."""

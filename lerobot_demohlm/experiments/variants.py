@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 
 from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets import variation
@@ -26,18 +27,21 @@ VARIANTS: Mapping[str, DataVariation] = {
 
 
 @functools.cache
-def stamp(task: str, *variations: str) -> str:
+def stamp(task: str, *variations: str, region: str = DEFAULT_REGION) -> str:
     """Return letters that change with what generation does with a task, wherever its code stands.
 
     Args:
         task: Name of the task.
         variations: Of the worlds that a result is of, of its training data and its rollouts; "none" adds nothing.
+        region: Where attempts start.
 
     Returns:
-        Eight letters of the task, and eight of each preset that its worlds vary by.
+        Eight letters of the task, eight of each preset that its worlds vary by, and in R4, where such worlds have
+        tables, eight of how attempts keep clear of them.
     """
     presets = sorted({re.split("[@:]", name)[0] for name in variations if get_variation(name)})
-    return "".join([portability.stamp(get_task(task)), *map(portability.recipe, presets)])
+    tables = [portability.table_recipe()] if presets and region == WIDEST and get_task(task).supports else []
+    return "".join([portability.stamp(get_task(task)), *map(portability.recipe, presets), *tables])
 
 
 def sight(variant: str) -> tuple[str, str]:
@@ -45,13 +49,14 @@ def sight(variant: str) -> tuple[str, str]:
     return VARIANTS[variant].variation, VARIANTS[variant].perception
 
 
-def sight_stamp(task: str, *worlds: tuple[str, str]) -> str:
+def sight_stamp(task: str, *worlds: tuple[str, str], region: str = DEFAULT_REGION) -> str:
     """Return ``stamp`` and letters that change with the errors by which objects are seen, where a fit says these.
 
     Args:
         task: Name of the task.
         worlds: Variation and perception of a result's training data, and of its rollouts.
+        region: Where attempts start.
     """
     data = [DataVariation(variation=variation, perception=perception) for variation, perception in worlds]
     fits = sorted({perception_fit(get_task(task), entry.content())[:8] for entry in data})
-    return stamp(task, *(variation for variation, _ in worlds)) + "".join(fits)
+    return stamp(task, *(variation for variation, _ in worlds), region=region) + "".join(fits)

@@ -32,6 +32,7 @@ from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
 from lerobot_demohlm.generation.steadying import steadied
+from lerobot_demohlm.generation.tables import Table, stand_off, tables_under
 from lerobot_demohlm.generation.world_view import WorldView
 from lerobot_demohlm.reproducibility.fingerprint import Trail
 
@@ -291,19 +292,29 @@ class Attempts:
         goal = chosen.goal
         if self.task.supports and self.task.is_scattered(self.region):
             goal = stages.clear_stance(goal, world, self.task, demonstration, self._segments)
+        tables = self._tables(world)
+        if tables is not None:
+            goal = stand_off(goal, poses.to_planar(demonstration.T_world_pelvis[0]), tables, self.settings.tables)
+        over_m = None if tables is None else tables[1].height + self.settings.tables.clear_m
         off = stages.stance(self.seed, attempt.index, self.settings.variation.stance_spread)
         placement = replace(chosen, goal=poses.to_planar(poses.planar(*goal) @ poses.planar(*off)))
         attempt.placement = placement
         if self.task.turns_away(self.region):
             yield from stages.go_around(world, self.task, placement.goal, self.settings.walking)
         yield from stages.locomotion(world, placement.goal, self.settings.walking)
-        playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings)
+        playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings, over_m)
         attempt.playback, attempt.stage = playback, playback.stage
         for wanted in playback.run():
             attempt.stage = playback.stage
             yield wanted
         if self.settings.adapts and playback.left_in_place:
             raise StageError("timeout", _missing(attempt, "the motion was over"), again=True)
+
+    def _tables(self, world: WorldView) -> tuple[Table, Table] | None:
+        """Return the demonstrated table and the one here, where the robot is to keep clear of it."""
+        if self.region != WIDEST or not self.settings.adapts:
+            return None
+        return tables_under(world, self.task, self.demonstration, stages.first_approach(self._segments))
 
     def _conclude(self, attempt: Attempt, why: str) -> None:
         """Judge an attempt whose motion or time is over."""

@@ -14,6 +14,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.stages import PlaybackSettings, first_approach
+from lerobot_demohlm.generation.tables import kept_above
 from lerobot_demohlm.generation.world_view import WorldView
 
 NO_HIGHER_M = 0.005  # above the demonstrated height, up to which a thing began there
@@ -45,6 +46,7 @@ class HandTargets:
         symmetry: (4, 4) the chosen symmetry of the first object.
         carrying: Says where hands go that bring something to its goal.
         settings: Limits and times.
+        over_m: Height [m] that hands which reach out at once keep until their way is as high; None where they need not.
 
     Attributes:
         last: (2, 4, 4) the targets of the last command; at first, where the palms are.
@@ -61,6 +63,7 @@ class HandTargets:
         symmetry: np.ndarray,
         carrying: Carrying,
         settings: PlaybackSettings,
+        over_m: float | None = None,
     ) -> None:
         self._world, self._task, self._demonstration, self._settings = world, task, demonstration, settings
         self.last = world.hands()
@@ -74,7 +77,7 @@ class HandTargets:
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._since = np.eye(4)  # from the demonstrated floor plane to this one, frozen when a part begins
-        self._carrying = carrying
+        self._carrying, self._over_m = carrying, over_m
 
     def at(self, tick: int) -> np.ndarray:
         """Return the targets (2, 4, 4) of a tick."""
@@ -200,7 +203,10 @@ class HandTargets:
                 targets = retarget.anchored_targets(demonstrated, last_d, last, anchors_d, anchors)
                 self._note(group, anchors_d, anchors)
         for column, (hand, entry) in enumerate(zip(hands, group, strict=True)):
-            self._targets[entry.start : entry.stop, hand] = targets[: entry.stop - entry.start, column]
+            path = targets[: entry.stop - entry.start, column]
+            if entry.kind == "object" and entry.start == 0 and self._over_m is not None:
+                path = kept_above(path, self._over_m)
+            self._targets[entry.start : entry.stop, hand] = path
 
     def _note(self, group: tuple[Segment, ...], then: np.ndarray, now: np.ndarray) -> None:
         shape = (len(group), 4, 4)

@@ -13,7 +13,7 @@ from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import groups
 from lerobot_demohlm.demonstrations.segments import Segment
-from lerobot_demohlm.generation import retarget
+from lerobot_demohlm.generation import retarget, tables
 from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.gripping import Gripping
@@ -43,6 +43,7 @@ class Playback:
         segments: Its segments.
         symmetry: (4, 4) the chosen symmetry of the first object.
         settings: Limits and times.
+        over_m: Height [m] to which hands rise before they reach out over a table; None where they need not.
 
     Attributes:
         stage: "pre_manipulation" or "manipulation".
@@ -61,6 +62,7 @@ class Playback:
         segments: Sequence[Segment],
         symmetry: np.ndarray,
         settings: Settings,
+        over_m: float | None = None,
     ) -> None:
         self.world, self.task, self.demonstration = world, task, demonstration
         self.settings = settings.playback
@@ -68,7 +70,8 @@ class Playback:
         self._names = [entry.name for entry in task.objects]
         self._groups = groups(segments)
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
-        self._hands = HandTargets(world, task, demonstration, segments, symmetry, self._carrying, self.settings)
+        self._hands = HandTargets(world, task, demonstration, segments, symmetry, self._carrying, self.settings, over_m)
+        self._over_m, self._back_m, self._reaching = over_m, settings.tables.back_m, tables.reaching(segments)
         self.error, self._trailing = np.zeros(len(g1.SIDES)), 0
         self._unmended = np.zeros(len(g1.SIDES))  # m, errors that no waiting for the torso has mended
         self._way = [self._hands.last]  # of the hands so far
@@ -91,6 +94,8 @@ class Playback:
             if closes:
                 yield from self._settle(tick)
             starting = [group for group in self._groups if group[0].start == tick]
+            if tick == 0 and self._over_m is not None:
+                yield from self._rise(self._over_m)
             self._hands.begin(tick, starting)
             entries = [entry for group in starting for entry in group]
             if any(entry.kind == "object" for entry in entries) or tick == 0:
@@ -216,6 +221,16 @@ class Playback:
         self._hands.follow_base(tick)  # the other hand may do so
         for targets in retarget.transit(self._hands.last, self._hands.at(tick), ticks):
             yield self._command(targets, tick)
+
+    def _rise(self, height_m: float) -> Iterator[np.ndarray]:
+        """Bring the hands that are about to reach out to a height [m] in front of the robot."""
+        self.activity = "transit"
+        back = -self._back_m * poses.heading(self.world.pose("pelvis"))[:2, 0]
+        risen = tables.risen(self._hands.last, self._reaching, height_m, back)
+        distance = float(norm((risen - self._hands.last)[:, :3, 3]).max())
+        ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
+        for targets in retarget.transit(self._hands.last, risen, ticks if distance > 0.0 else 0):
+            yield self._command(targets, 0)
 
     def _touching(self, tick: int) -> bool:
         return any(

@@ -327,3 +327,13 @@ def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "failed": [],
     }
     assert lines.read_policies(tmp_path / "results/experiments.jsonl") == kept
+
+
+def test_results_in_r4_say_how_attempts_keep_clear_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where worlds vary and have tables; elsewhere the letters stay."""
+    near = stamp("LiftBox", "real")
+    assert stamp("LiftBox", "real", region="R4") == near + portability.table_recipe()
+    assert stamp("LiftBox", "none", region="R4") == stamp("LiftBox")
+    assert stamp("PushCart", "real", region="R4") == stamp("PushCart", "real")
+    monkeypatch.setattr(portability, "table_recipe", lambda: "another!")
+    assert stamp("LiftBox", "real", region="R4") == near + "another!" and stamp("LiftBox", "real") == near

@@ -191,7 +191,7 @@ def test_regions_of_varied_worlds_have_a_table_of_their_own() -> None:
             attempts=100,
             successes=successes,
             variation=variation,
-            stamp=stamp("Handover", variation),
+            stamp=stamp("Handover", variation, region=region),
         )
         for variation, region, successes in (
             ("none", "R1", 99), ("none", "R2", 98), ("none", "R3", 97), ("none", "R4", 90), ("real", "R3", 80)
