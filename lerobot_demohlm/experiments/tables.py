@@ -84,10 +84,14 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
 def latest(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
     """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds."""
     lines = list(lines)
-    stamps = {(line.task, line.worlds): line.stamp for line in lines}
+
+    def worlds(line: PolicyResult) -> tuple[object, ...]:
+        return line.task, line.worlds, line.region == WIDEST
+
+    stamps = {worlds(line): line.stamp for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
     keys += ("variation", "perception")
-    current = [line for line in lines if line.stamp == stamps[line.task, line.worlds]]
+    current = [line for line in lines if line.stamp == stamps[worlds(line)]]
     return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
 
 
@@ -205,11 +209,11 @@ def architectures_table(lines: Iterable[PolicyResult]) -> str:
 def by_region(lines: Iterable[GenerationResult], variation: str = "none") -> dict[str, dict[str, GenerationResult]]:
     """Return the last line of each region in order, of those that are of the same version, by task.
 
-    In plain worlds these are the tasks with all three of the paper's regions.
+    R4 has a version of its own. In plain worlds these are the tasks with all three of the paper's regions.
     """
     own = [line for line in lines if line.is_undisturbed and line.variation == variation]
-    stamps = {line.task: line.stamp for line in own}
-    last = {(line.task, line.region): line for line in own if line.stamp == stamps[line.task]}
+    stamps = {(line.task, line.region == WIDEST): line.stamp for line in own}
+    last = {(line.task, line.region): line for line in own if line.stamp == stamps[line.task, line.region == WIDEST]}
     found = {}
     for task in sorted({task for task, _ in last}):
         regions = {region: last[task, region] for region in (*REGIONS, WIDEST) if (task, region) in last}
@@ -227,8 +231,11 @@ def regions_table(lines: Sequence[GenerationResult]) -> str:
         theirs = REGIONS if variation == "none" else ()
         rows = []
         for task, regions in found.items():
-            row = [task + age(next(iter(regions.values())))]
-            row += [generated(regions[region]) if region in regions else "-" for region in shown]
+            aged = age(next(iter(regions.values())))
+            row = [task + aged]
+            for region in shown:
+                line = regions.get(region)
+                row.append("-" if line is None else generated(line) + ("" if age(line) == aged else age(line)))
             rows.append([*row, *(number(paper.GENERATION.get((task, region))) for region in theirs)])
         if rows:
             worlds = "" if variation == "none" else f" in worlds that vary by `{variation}`"

@@ -335,5 +335,7 @@ def test_results_in_r4_say_how_attempts_keep_clear_of_tables(monkeypatch: pytest
     assert stamp("LiftBox", "real", region="R4") == near + portability.table_recipe()
     assert stamp("LiftBox", "none", region="R4") == stamp("LiftBox")
     assert stamp("PushCart", "real", region="R4") == stamp("PushCart", "real")
+    stamp.cache_clear()
     monkeypatch.setattr(portability, "table_recipe", lambda: "another!")
     assert stamp("LiftBox", "real", region="R4") == near + "another!" and stamp("LiftBox", "real") == near
+    stamp.cache_clear()

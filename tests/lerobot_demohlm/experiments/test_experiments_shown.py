@@ -202,6 +202,11 @@ def test_regions_of_varied_worlds_have_a_table_of_their_own() -> None:
     assert "| 90.0 (82.6 to 94.5) |" in rows[4]
     assert rows[6].startswith("**Generation success by initial region in worlds that vary by `real`**")
     assert rows[8:] == ["| task | R3 |", "|---|---|", "| Handover | 80.0 (71.1 to 86.7) |"]
+    wide = dataclasses.replace(found[-1], region="R4", successes=70, stamp=stamp("Handover", "real", region="R4"))
+    rows = tables.regions_table([*found, wide]).splitlines()
+    assert rows[-1] == "| Handover | 80.0 (71.1 to 86.7) | 70.0 (60.4 to 78.1) |", "R4 has a version of its own"
+    old = dataclasses.replace(wide, stamp=stamp("Handover", "real"))
+    assert tables.regions_table([*found, old]).splitlines()[-1].endswith("70.0 (60.4 to 78.1), an earlier version |")
     assert tables.regions_table(found[1:4]) == "", "not all regions of the paper"
     drawn = plots.regions_figure(found)
     assert drawn is not None and len(points(drawn)) == 3 + 3
