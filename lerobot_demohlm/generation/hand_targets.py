@@ -102,8 +102,7 @@ class HandTargets:
             return 0  # hands that follow the base are led there tick by tick
         hands = [g1.SIDES.index(entry.hand) for entry in entries]
         last, path = self.last[hands], self._targets[tick:, hands]
-        distance = float(norm((path[0] - last)[:, :3, 3]).max())
-        ticks = max(self._settings.min_transit_ticks, int(np.ceil(10.0 * distance / self._settings.transit_speed)))
+        ticks = self._settings.transit_ticks(last, path[0])
         room = int(self._settings.joining_share * min(entry.stop - tick for entry in entries))
         if ticks > room:
             return ticks

@@ -223,13 +223,14 @@ class Playback:
             yield self._command(targets, tick)
 
     def _rise(self, height_m: float) -> Iterator[np.ndarray]:
-        """Bring the hands that are about to reach out to a height [m] in front of the robot."""
+        """Raise the hands that are about to reach out to a height [m] in front of the robot; higher ones stay."""
         self.activity = "transit"
         back = -self._back_m * poses.heading(self.world.pose("pelvis"))[:2, 0]
         risen = tables.risen(self._hands.last, self._reaching, height_m, back)
-        distance = float(norm((risen - self._hands.last)[:, :3, 3]).max())
-        ticks = max(self.settings.min_transit_ticks, int(np.ceil(10.0 * distance / self.settings.transit_speed)))
-        for targets in retarget.transit(self._hands.last, risen, ticks if distance > 0.0 else 0):
+        if (risen == self._hands.last).all():
+            return
+        ticks = self.settings.transit_ticks(self._hands.last, risen)
+        for targets in retarget.transit(self._hands.last, risen, ticks):
             yield self._command(targets, 0)
 
     def _touching(self, tick: int) -> bool:

@@ -21,7 +21,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear, way_around
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
-from lerobot_demohlm.generation.tables import TableSettings
+from lerobot_demohlm.generation.tables import TableSettings, tables_under
 from lerobot_demohlm.generation.world_view import WorldView
 
 LOCOMOTION, PRE_MANIPULATION, MANIPULATION = "locomotion", "pre_manipulation", "manipulation"
@@ -87,6 +87,11 @@ class PlaybackSettings:
     final_ticks: int = 5
     watches_base: bool = True
     delicate_ticks: tuple[int, int] = (10, 5)
+
+    def transit_ticks(self, T_from: np.ndarray, T_to: np.ndarray) -> int:
+        """Return the number of ticks in which hands come from some poses (hands, 4, 4) to others."""
+        distance = float(norm((T_to - T_from)[:, :3, 3]).max())
+        return max(self.min_transit_ticks, int(np.ceil(10.0 * distance / self.transit_speed)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,15 +265,12 @@ def clear_stance(
     goal: np.ndarray, world: WorldView, task: Task, demonstration: Demonstration, segments: Sequence[Segment]
 ) -> np.ndarray:
     """Return a base goal (3,) that is as far from the table under the first object as the demonstrated one was."""
-    index = [entry.name for entry in task.objects].index(str(first_approach(segments).object))
-    tables = {}  # (2,) of each support, as it was demonstrated
-    for name in task.supports:
-        mocap = int(world.sim.model.body(name).mocapid[0])
-        tables[name] = demonstration.start["mocap"][0, 3 * mocap : 3 * mocap + 2]
-    p_object, p_base = demonstration.T_world_objects[0, index, :2, 3], demonstration.T_world_pelvis[0, :2, 3]
-    under = min(tables, key=lambda name: float(norm(tables[name] - p_object)))
-    distance = float(norm(tables[under] - p_base)) - TOLERANCE_M
-    return stand_clear(goal, world.pose(under)[:2, 3], distance)
+    tables = tables_under(world, task, demonstration, first_approach(segments))
+    if tables is None:
+        return goal
+    then, now = (table.T_world_table[:2, 3] for table in tables)
+    distance = float(norm(then - demonstration.T_world_pelvis[0, :2, 3])) - TOLERANCE_M
+    return stand_clear(goal, now, distance)
 
 
 def stance(seed: int, index: int, spread: float) -> np.ndarray:
