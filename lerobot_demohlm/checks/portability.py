@@ -30,7 +30,9 @@ from gym_demohlm.task import DEFAULT_REGION, WIDEST, Task
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.generation.attempt import GENERATION_STREAM, Attempts
+from lerobot_demohlm.generation.handing_over import handed_over
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, walk_velocity
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reproducibility import provenance
@@ -119,6 +121,20 @@ def recipe(preset: str) -> str:
 def table_recipe() -> str:
     """Return eight letters that change with the numbers by which attempts in R4 keep clear of tables."""
     return _digest([repr(astuple(Settings().tables)).encode()])[:8]
+
+
+@functools.cache
+def handing_over_recipe() -> str:
+    """Return eight letters that change with the numbers by which a hand pushes a thing onto the other's palm in R4."""
+    return _digest([repr(astuple(Settings().handing_over)).encode()])[:8]
+
+
+@functools.cache
+def hands_over(name: str) -> bool:
+    """Return whether a hand pushes a thing onto the other's palm in the packaged demonstration of a task."""
+    task = get_task(name)
+    demonstration = demonstrations.load(None, task)
+    return handed_over(demonstration, segment(demonstration, task)) is not None
 
 
 def packaged() -> dict[str, Any]:

@@ -37,11 +37,15 @@ def stamp(task: str, *variations: str, region: str = DEFAULT_REGION) -> str:
 
     Returns:
         Eight letters of the task, eight of each preset that its worlds vary by, and in R4, where such worlds have
-        tables, eight of how attempts keep clear of them.
+        tables, eight of how attempts keep clear of them; eight more where a hand pushes a thing onto the other's palm.
     """
     presets = sorted({re.split("[@:]", name)[0] for name in variations if get_variation(name)})
-    tables = [portability.table_recipe()] if presets and region == WIDEST and get_task(task).supports else []
-    return "".join([portability.stamp(get_task(task)), *map(portability.recipe, presets), *tables])
+    recipes = [portability.stamp(get_task(task)), *map(portability.recipe, presets)]
+    if presets and region == WIDEST and get_task(task).supports:
+        recipes.append(portability.table_recipe())
+        if portability.hands_over(task):
+            recipes.append(portability.handing_over_recipe())
+    return "".join(recipes)
 
 
 def sight(variant: str) -> tuple[str, str]:

@@ -28,6 +28,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import command_noise, stages
 from lerobot_demohlm.generation.eyes import open_sight, seen_objects
 from lerobot_demohlm.generation.fitting import fitted
+from lerobot_demohlm.generation.handing_over import HandingOver, handed_over
 from lerobot_demohlm.generation.playback import Playback
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings, StageError
@@ -302,7 +303,10 @@ class Attempts:
         if self.task.turns_away(self.region):
             yield from stages.go_around(world, self.task, placement.goal, self.settings.walking)
         yield from stages.locomotion(world, placement.goal, self.settings.walking)
-        playback = Playback(world, self.task, demonstration, self._segments, placement.symmetry, self.settings, over_m)
+        handing_over = None if tables is None else self._handing_over(world, tables)
+        playback = Playback(
+            world, self.task, demonstration, self._segments, placement.symmetry, self.settings, over_m, handing_over
+        )
         attempt.playback, attempt.stage = playback, playback.stage
         for wanted in playback.run():
             attempt.stage = playback.stage
@@ -315,6 +319,13 @@ class Attempts:
         if self.region != WIDEST or not self.settings.adapts:
             return None
         return tables_under(world, self.task, self.demonstration, stages.first_approach(self._segments))
+
+    def _handing_over(self, world: WorldView, tables: tuple[Table, Table]) -> HandingOver | None:
+        """Return how hands keep to the way of a thing that one pushes onto the other, if one does."""
+        pair = handed_over(self.demonstration, self._segments)
+        if pair is None:
+            return None
+        return HandingOver(world, self.task, self.demonstration, pair, tables, self.settings.handing_over)
 
     def _conclude(self, attempt: Attempt, why: str) -> None:
         """Judge an attempt whose motion or time is over."""

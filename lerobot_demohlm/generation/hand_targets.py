@@ -13,6 +13,7 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.carrying import Carrying
+from lerobot_demohlm.generation.handing_over import HandingOver
 from lerobot_demohlm.generation.stages import PlaybackSettings, first_approach
 from lerobot_demohlm.generation.tables import kept_above
 from lerobot_demohlm.generation.world_view import WorldView
@@ -47,6 +48,7 @@ class HandTargets:
         carrying: Says where hands go that bring something to its goal.
         settings: Limits and times.
         over_m: Height [m] that hands which reach out at once keep until their way is as high; None where they need not.
+        handing_over: How hands keep to the way of a thing that one pushes onto the other; None where none does.
 
     Attributes:
         last: (2, 4, 4) the targets of the last command; at first, where the palms are.
@@ -64,6 +66,7 @@ class HandTargets:
         carrying: Carrying,
         settings: PlaybackSettings,
         over_m: float | None = None,
+        handing_over: HandingOver | None = None,
     ) -> None:
         self._world, self._task, self._demonstration, self._settings = world, task, demonstration, settings
         self.last = world.hands()
@@ -77,7 +80,7 @@ class HandTargets:
         self._detours = np.zeros((len(demonstration), len(g1.SIDES), 3))  # m, that hands are off it as they join it
         self._held_on_base = np.tile(np.eye(4), (len(g1.SIDES), 1, 1))  # last target over what follows the base
         self._since = np.eye(4)  # from the demonstrated floor plane to this one, frozen when a part begins
-        self._carrying, self._over_m = carrying, over_m
+        self._carrying, self._over_m, self._handing_over = carrying, over_m, handing_over
 
     def at(self, tick: int) -> np.ndarray:
         """Return the targets (2, 4, 4) of a tick."""
@@ -128,9 +131,14 @@ class HandTargets:
             self._shift_more(hand, missed)
         for hand, motion in self.motions.items():
             wanted = (motion @ self._demonstration.T_world_hands[tick, hand])[:3, 3] + self._detours[tick, hand]
+            if self._handing_over is not None and hand == self._handing_over.taker:
+                beside = self._handing_over.beside(tick)
+                wanted, self._targets[tick, hand, :3, 3] = wanted + beside, self._targets[tick, hand, :3, 3] + beside
             self._shift_more(hand, wanted - measured[hand, :3, 3])
         for hand in {*self._carrying.hands(tick), *self.motions}:
             self._targets[tick, hand, :3, 3] += self._shift[hand]
+        if self._handing_over is not None:
+            self._targets[tick, self._handing_over.giver, :3, 3] += self._handing_over.held_back(tick)
 
     def object_motion(self, name: str, tick: int) -> np.ndarray:
         """Return the motion (4, 4) of an object from where it was at a tick of the demonstration to where it is."""
@@ -174,6 +182,8 @@ class HandTargets:
             self._note(group, T_W_Od, T_W_O @ symmetry)
             motion = retarget.scene_motion(T_W_Od, T_W_O, symmetry)
             self.motions |= dict.fromkeys(hands, motion)
+            if self._handing_over is not None and self._handing_over.taker in hands:
+                self._handing_over.begin(motion)
             self._shift[hands] = 0.0
         else:
             for hand in hands:

@@ -18,6 +18,7 @@ from lerobot_demohlm.generation.base_path import BasePath
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.gripping import Gripping
 from lerobot_demohlm.generation.hand_targets import HandTargets, Started
+from lerobot_demohlm.generation.handing_over import HandingOver
 from lerobot_demohlm.generation.squeeze import Squeeze
 from lerobot_demohlm.generation.stages import (
     MANIPULATION,
@@ -44,6 +45,7 @@ class Playback:
         symmetry: (4, 4) the chosen symmetry of the first object.
         settings: Limits and times.
         over_m: Height [m] to which hands rise before they reach out over a table; None where they need not.
+        handing_over: How hands keep to the way of a thing that one pushes onto the other; None where none does.
 
     Attributes:
         stage: "pre_manipulation" or "manipulation".
@@ -63,6 +65,7 @@ class Playback:
         symmetry: np.ndarray,
         settings: Settings,
         over_m: float | None = None,
+        handing_over: HandingOver | None = None,
     ) -> None:
         self.world, self.task, self.demonstration = world, task, demonstration
         self.settings = settings.playback
@@ -70,7 +73,10 @@ class Playback:
         self._names = [entry.name for entry in task.objects]
         self._groups = groups(segments)
         self._carrying = Carrying(world, task, demonstration, segments, settings.walking)
-        self._hands = HandTargets(world, task, demonstration, segments, symmetry, self._carrying, self.settings, over_m)
+        self._hands = HandTargets(
+            world, task, demonstration, segments, symmetry, self._carrying, self.settings, over_m, handing_over
+        )
+        self._handing_over = handing_over
         self._over_m, self._back_m, self._reaching = over_m, settings.tables.back_m, tables.reaching(segments)
         self.error, self._trailing = np.zeros(len(g1.SIDES)), 0
         self._unmended = np.zeros(len(g1.SIDES))  # m, errors that no waiting for the torso has mended
@@ -242,6 +248,8 @@ class Playback:
 
     def _command(self, targets: np.ndarray, tick: int, velocity: np.ndarray | None = None) -> np.ndarray:
         pressing = self._squeeze.tighten(targets, tick)
+        if self._handing_over is not None and self.activity != "withdraw":
+            pressing = self._handing_over.levelled(pressing, tick)
         solution = self.world.ik.solve(
             T_world_pelvis=self._hands.pelvis(tick),
             joint_positions=self.world.joint_positions(),

@@ -20,6 +20,7 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.clearance import TOLERANCE_M, stand_clear, way_around
+from lerobot_demohlm.generation.handing_over import HandingOverSettings
 from lerobot_demohlm.generation.locomotion import LocomotionSettings, OffCourseError, walk
 from lerobot_demohlm.generation.tables import TableSettings, tables_under
 from lerobot_demohlm.generation.world_view import WorldView
@@ -175,6 +176,7 @@ class Settings:
         variation: How attempts differ from plain ones.
         adaptation: What they do about worlds that vary.
         tables: How they keep clear of tables in worlds that vary, in R4.
+        handing_over: How a hand pushes a thing onto the other's palm in worlds that vary, in R4.
         retreat: What a robot does between a stage that has failed and the next try.
         grip: How a gripper closes.
         locomotion: How the robot walks to its place.
@@ -184,6 +186,7 @@ class Settings:
     variation: DataVariation = field(default_factory=DataVariation)
     adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     tables: TableSettings = field(default_factory=TableSettings)
+    handing_over: HandingOverSettings = field(default_factory=HandingOverSettings)
     retreat: RetreatSettings = field(default_factory=RetreatSettings)
     grip: GripSettings = field(default_factory=GripSettings)
     locomotion: LocomotionSettings = field(default_factory=LocomotionSettings)

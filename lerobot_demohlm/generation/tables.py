@@ -6,6 +6,7 @@ would come up under it. So the robot keeps the demonstrated distance from the ed
 out.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ import mujoco
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.arithmetic import norm
+from gym_demohlm.arithmetic import dot, norm
 from gym_demohlm.robot import g1
 from gym_demohlm.task import Task
 from gym_demohlm.variation import Conditions
@@ -65,6 +66,16 @@ class Table:
         xy = np.abs(poses.transform(poses.invert(self.T_world_table), p_world)[:, :2])
         apart = norm(xy) - self.half[0] if self.is_round else norm(np.maximum(xy - self.half, 0.0))
         return float(apart.min())
+
+    def way_to_edge(self, p_world: np.ndarray, ahead: np.ndarray) -> float:
+        """Return how far it is from a point (3,) over the top to its edge, in a level unit direction (3,) [m]."""
+        T_table_world = poses.invert(self.T_world_table)
+        p, u = poses.transform(T_table_world, p_world)[:2], (T_table_world[:3, :3] @ ahead)[:2]
+        if self.is_round:
+            along = float(dot(p, u))
+            return math.sqrt(max(along**2 - float(dot(p, p)) + float(self.half[0]) ** 2, 0.0)) - along
+        ways = [(math.copysign(half, v) - x) / v for half, x, v in zip(self.half, p, u, strict=True) if abs(v) > 1e-9]
+        return float(min(ways))
 
 
 def tables_under(

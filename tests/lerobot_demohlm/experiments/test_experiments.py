@@ -335,6 +335,8 @@ def test_results_in_r4_say_how_attempts_keep_clear_of_tables(monkeypatch: pytest
     assert stamp("LiftBox", "real", region="R4") == near + portability.table_recipe()
     assert stamp("LiftBox", "none", region="R4") == stamp("LiftBox")
     assert stamp("PushCart", "real", region="R4") == stamp("PushCart", "real")
+    handed = portability.table_recipe() + portability.handing_over_recipe()
+    assert stamp("Handover", "real", region="R4") == stamp("Handover", "real") + handed
     stamp.cache_clear()
     monkeypatch.setattr(portability, "table_recipe", lambda: "another!")
     assert stamp("LiftBox", "real", region="R4") == near + "another!" and stamp("LiftBox", "real") == near

@@ -114,6 +114,26 @@ def task_index(name: str, entry: str) -> int:
     return [found.name for found in get_task(name).objects].index(entry)
 
 
+@pytest.mark.parametrize(
+    ("table", "point", "ahead", "way"),
+    [
+        pytest.param(SQUARE, (0.1, 0.0), (1.0, 0.0), 0.2, id="to the edge ahead"),
+        pytest.param(SQUARE, (0.1, 0.1), (0.0, -1.0), 0.5, id="to the edge on the right"),
+        pytest.param(SQUARE, (0.0, 0.0), (0.6, 0.8), 0.5, id="aslant, to the nearer edge: both are 0.5 m away"),
+        pytest.param(ROUND, (0.0, 0.0), (0.6, 0.8), 0.3, id="from the middle of a round one"),
+        pytest.param(ROUND, (0.18, 0.0), (0.0, 1.0), 0.24, id="across a round one"),
+    ],
+)
+def test_the_way_to_the_edge_is_measured_in_its_direction(
+    table: Table, point: tuple[float, float], ahead: tuple[float, float], way: float
+) -> None:
+    """However the table stands."""
+    for T in (np.eye(4), poses.planar(1.0, -2.0, 0.7)):
+        moved = replace(table, T_world_table=T)
+        p_world, direction = poses.transform(T, np.array([*point, 0.9])), T[:3, :3] @ np.array([*ahead, 0.0])
+        assert moved.way_to_edge(p_world, direction) == pytest.approx(way)
+
+
 @pytest.mark.parametrize("name", [name for name in all_tasks() if name not in WITH_TABLES])
 def test_what_stands_on_no_table_has_none(name: str) -> None:
     task = get_task(name)
