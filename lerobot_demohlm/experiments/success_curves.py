@@ -39,13 +39,15 @@ def draw_panels(panels: Sequence[Panel], label: str, figure: Path, panel_size: t
 
     size = panel_size[0] * len(panels), panel_size[1]
     picture, places = pyplot.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
+    names = list(dict.fromkeys(name for panel in panels for name in panel.curves))
     drawn = {}  # a curve may be missing in some panels
     for place, panel in zip(places[0], panels, strict=True):
         for name, points in panel.curves.items():
             if len(points) > 1:
                 x, rate, low, high = zip(*points, strict=True)
-                (line,) = place.plot(x, rate, marker="o", markersize=3, label=name)
-                place.fill_between(x, low, high, alpha=0.12, color=line.get_color(), linewidth=0)
+                color = f"C{names.index(name)}"  # the same in all panels
+                (line,) = place.plot(x, rate, marker="o", markersize=3, label=name, color=color)
+                place.fill_between(x, low, high, alpha=0.12, color=color, linewidth=0)
                 drawn.setdefault(name, line)
         place.set_title(panel.title, fontsize=9)
         place.set_xlabel(panel.label)

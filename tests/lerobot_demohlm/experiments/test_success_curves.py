@@ -41,6 +41,25 @@ def test_a_curve_needs_two_points(tmp_path: Path, plotted: list[tuple[str, tuple
     assert (tmp_path / "new" / "curves.png").stat().st_size > 1000
 
 
+def test_a_curve_has_one_colour_in_all_panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where another one is missing."""
+    colours: dict[str, set[str]] = {}
+    plot = Axes.plot
+
+    def spy(self: Axes, *args: Any, **options: Any) -> Any:
+        (line,) = plot(self, *args, **options)
+        colours.setdefault(options["label"], set()).add(line.get_color())
+        return [line]
+
+    monkeypatch.setattr(Axes, "plot", spy)
+    points = [(0.0, 0.9, 0.8, 1.0), (1.0, 0.5, 0.4, 0.6)]
+    both = Panel(title="a", label="x", curves={"first": points, "second": points})
+    panels = [both, Panel(title="b", label="x", curves={"first": [], "second": points})]
+    draw_panels(panels, "success", tmp_path / "curves.png", panel_size=(2.0, 2.0))
+    assert [len(found) for found in colours.values()] == [1, 1]
+    assert colours["first"] != colours["second"]
+
+
 def test_lines_become_curves_of_every_axis(tmp_path: Path, plotted: list[tuple[str, tuple[float, ...]]]) -> None:
     lines = tmp_path / "lines.jsonl"
     facts: dict[str, Any] = {"task": "LiftBox", "region": "R3", "policy": "mlp", "policy_hash": "ab"}
