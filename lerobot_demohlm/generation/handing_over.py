@@ -21,7 +21,7 @@ from lerobot_demohlm.generation.tables import Table
 from lerobot_demohlm.generation.world_view import WorldView
 
 _FACING = {"left": -1.0, "right": 1.0}  # where a palm faces, along its own y
-_UPWARD = 0.9  # cosine up to which a palm faces up
+_UPWARD = 0.9  # least cosine of the angle between where a palm faces and the vertical at which it faces up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +29,11 @@ class HandingOverSettings:
     """How hands keep to the way of a thing that one pushes onto the other, in R4 of worlds that vary.
 
     Attributes:
-        gain: Share of what the thing is ahead of its way by which the pushing hand stays back more in each tick.
+        gain: Share of the distance by which the thing is too far ahead that the pushing hand moves back in each tick.
         max_back_m: Largest distance by which that hand stays back [m].
         max_forward_m: Largest distance by which it goes further for a thing that lags behind [m].
         max_aside_m: Largest distance by which the palm moves aside with the thing [m].
-        edge_share: Share of what the edge is further away than demonstrated by which both hands go further.
+        edge_share: Share of the distance by which the edge is too far away that both hands go further.
         level_gain: Share of the angle by which the fingers are too low that the palm turns by in each tick.
         level_ticks: Ticks before the thing comes onto the palm in which it turns; then it keeps its turn.
         fingers_low_rad: Angle by which the fingers are to be lower than the wrist [rad].
@@ -122,7 +122,8 @@ class HandingOver:
         if tick < self._taken - self._settings.level_ticks:
             return targets
         if tick < self._taken:
-            low = -float(self._world.hands()[self.taker, 2, 0]) - self._settings.fingers_low_rad
+            sine = float(self._world.hands()[self.taker, 2, 0])  # near enough to the angle
+            low = -sine - self._settings.fingers_low_rad
             lift = self._lift + self._settings.level_gain * low
             self._lift = min(max(lift, -self._settings.max_turn_rad), self._settings.max_turn_rad)
         fingers = targets[self.taker, :2, 0]

@@ -21,6 +21,7 @@ DEMONSTRATION = demonstrations.load(None, TASK)
 PAIR = handed_over(DEMONSTRATION, segment(DEMONSTRATION, TASK))
 SETTINGS = HandingOverSettings()
 WAY = DEMONSTRATION.T_world_objects[:, 0, :3, 3]
+PUSH_TICKS = 25  # for which the thing is pushed, at least
 TURN = poses.planar(0.3, -0.2, 2.0)  # from the demonstrated scene to this one
 
 
@@ -108,15 +109,17 @@ def test_the_palm_moves_aside_with_the_thing(left: float, moved: float) -> None:
 
 
 @pytest.mark.parametrize("radius", [0.10, 0.12, 0.14])
-def test_a_wider_table_moves_both_hands_out(radius: float) -> None:
-    """The palm by a share of it at once, the pushing hand as it comes there."""
+def test_hands_keep_to_the_edge_of_another_table(radius: float) -> None:
+    """Further out or in by a share of what the edge is: the palm at once, the pushing hand as it comes there."""
     found, world = handing_over(radius)
     assert PAIR is not None
     further = SETTINGS.edge_share * (radius - 0.12)
     placed(world, 0)
     assert np.linalg.norm(found.beside(0)) == pytest.approx(abs(further), abs=1e-6)
-    for tick in range(PAIR[0].start, PAIR[0].start + 25):
-        gone = np.linalg.norm((WAY[tick] - WAY[PAIR[0].start])[:2]) / np.linalg.norm((WAY[69] - WAY[44])[:2])
+    start = PAIR[0].start
+    last = int(np.argmax(WAY[: start + PUSH_TICKS, 1]))  # pushed to the left, along y, as far as it goes
+    for tick in range(start, start + PUSH_TICKS):
+        gone = np.linalg.norm((WAY[tick] - WAY[start])[:2]) / np.linalg.norm((WAY[last] - WAY[start])[:2])
         placed(world, tick, ahead=further * min(gone, 1.0))
         shift = found.held_back(tick)
     assert np.linalg.norm(shift) == pytest.approx(abs(further), abs=0.002)
