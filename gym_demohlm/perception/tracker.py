@@ -25,6 +25,7 @@ from gym_demohlm.perception.starts import starts
 LEAST_PIXELS = 40  # a smaller mask shows nothing
 _ROUGH_ITERATIONS, _FINE_ITERATIONS, _TRACK_ITERATIONS = 4, 8, 6
 _ROUGHLY_FITTED, _REFINED = 8, 3  # of the starts
+_ALONG = np.linspace(-0.3, 0.3, 7)  # of its extent, by which an object may lie elsewhere if no edge says where it is
 _BELIEVED_IOU, _BELIEVED_INLIERS = 0.55, 0.45
 _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
 _OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
@@ -310,7 +311,8 @@ class Tracker:
                 return still  # no other pose explains the frame better by enough
             if self.shape.mesh.fixed and not self._is_whole(view):
                 return still
-        placed = [self._placed(R_optical_odom @ start, view) for start in starts(R_odom_object, still is not None)]
+        turned = [R_optical_odom @ start for start in starts(R_odom_object, still is not None)]
+        placed = [T for R_optical_object in turned for T in self._placed(R_optical_object, view)]
         rough = [
             fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
             for T in self._best(placed, view, _ROUGHLY_FITTED)
@@ -340,9 +342,12 @@ class Tracker:
 
     def _is_whole(self, view: fit.View) -> bool:
         """Return whether the image's border cuts nothing off."""
+        return not np.any(self._cut(view))
+
+    def _cut(self, view: fit.View) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether the image's border cuts it off at its low and at its high end (2,) bool, each in x and y."""
         size = np.array([self.intrinsics.width, self.intrinsics.height])
-        low, high = view.low + view.window.corner, view.high + view.window.corner
-        return bool((low > 1).all() and (high < size - 2).all())
+        return view.low + view.window.corner <= 1, view.high + view.window.corner >= size - 2
 
     def _nothing(self, T: np.ndarray) -> fit.Prior:
         """Return the prior of who knows the depth camera only."""
@@ -363,8 +368,12 @@ class Tracker:
         result[:3, :3] = turned[chosen]
         return result
 
-    def _placed(self, R_optical_object: np.ndarray, view: fit.View) -> np.ndarray:
-        """Return a pose of an orientation whose silhouette has the place and size of the mask."""
+    def _placed(self, R_optical_object: np.ndarray, view: fit.View) -> list[np.ndarray]:
+        """Return poses of an orientation whose silhouettes have the place and size of the mask.
+
+        Several where the image's border cuts the object off and no other edge says where it is. The lower end of
+        furniture does not: the floor and other things hide it.
+        """
         middle = self.intrinsics.unproject((view.low + view.high) / 2.0 + view.window.corner, np.array(1.0))
         turned = (self.shape.vertices - self.shape.middle) @ R_optical_object.T
         extent, seen = np.ptp(turned[:, :2], axis=0), np.maximum(view.high - view.low + 1, 1)
@@ -374,7 +383,11 @@ class Tracker:
         T = np.eye(4)
         T[:3, :3] = R_optical_object
         T[:3, 3] = middle * max(z, 0.1) - R_optical_object @ self.shape.middle
-        return self._aligned(self._aligned(T, view), view)
+        T = self._aligned(self._aligned(T, view), view)
+        cut_low, cut_high = self._cut(view)
+        unsure = cut_low & cut_high | [False, self.shape.mesh.fixed] & (cut_low | cut_high)
+        shifts = [_ALONG * extent[axis] if unsure[axis] else (0.0,) for axis in range(2)]
+        return [poses.pose([x, y, 0.0]) @ T for x in shifts[0] for y in shifts[1]]
 
 
 def _believed(quality: fit.Quality | None) -> bool:

@@ -192,3 +192,36 @@ def test_depth_is_that_of_a_ray_and_ids_are_those_of_mujocos_renderer(stage: Sta
         )
         if geom[0] == frame.ids[rows[k], columns[k]]:  # at an edge, a ray may just miss
             assert distance == pytest.approx(float(frame.depth[rows[k], columns[k]]), abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("robot", "height"),
+    [
+        ((-0.45, 0.15, -0.1), -0.08),
+        ((-0.7, -0.08, 0.13), -0.08),
+        ((-0.7, -0.08, 0.13), 0.0),
+        ((-0.7, -0.08, 0.13), 0.08),
+    ],
+)
+def test_furniture_that_the_image_cuts_off_is_found(robot: tuple[float, ...], height: float) -> None:
+    """Top and left of the board are outside the image, and its legs end on the floor: no edge says how high it is."""
+    task = get_task("EraseBoard")
+    scene = build_scene(task)
+    visual = VisualModel(scene.model)
+    board = next(mesh for mesh in object_meshes(scene.model, task) if mesh.name == "board")
+    qpos, mocap_pos, mocap_quat = scene.place({"robot": [*robot], "object": [0.0, height, 0.4]})
+    qpos[scene.neck_qpos] = -0.4, 0.45
+    visual.place(qpos, mocap_pos, mocap_quat)
+    frame, rng = visual.depth_and_ids(), np.random.default_rng(0)
+    mask = masks.oracle(frame.ids, board.geoms, rng, 1.0)
+    depth = d435.measure(frame.depth, d435.DepthNoise(), rng, image_focal=visual.intrinsics.focal)
+    truth = poses.pose(mocap_pos[0], mocap_quat[0])
+    roughly = (truth @ poses.planar(0.0, 0.0, 0.4))[:3, :3]
+    track = Tracker(board, visual.intrinsics).update(
+        depth, mask, frame.window, visual.camera_pose(), 0.1, R_odom_object=roughly
+    )
+    visual.close()
+    assert mask[0].any() and mask[:, 0].any()
+    assert track is not None and track.valid
+    millimetres, degrees = _error(track.T_odom_object, truth, task.objects[1])
+    assert millimetres < 15.0 and degrees < 2.0
