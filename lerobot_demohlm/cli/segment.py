@@ -25,9 +25,11 @@ class Options:
 
 
 def run(options: Options) -> None:
-    """Print the events and segments of a demonstration, draw them, write them down for corrections."""
+    """Print the events, segments and pauses of a demonstration, draw it, write segments down for corrections."""
     from gym_demohlm.registry import get_task
+    from gym_demohlm.timing import STEP_DT
     from lerobot_demohlm.demonstrations.demonstration import load
+    from lerobot_demohlm.demonstrations.pauses import pauses
     from lerobot_demohlm.demonstrations.segmentation import events, segment, write_corrections
 
     task = get_task(options.task)
@@ -39,6 +41,10 @@ def run(options: Options) -> None:
     for entry in segment(demonstration, task):
         what = entry.object if entry.kind == "object" else f"its own motion ({entry.anchor})"
         print(f"{entry.start:>4}-{entry.stop:<4}  {entry.hand:<5}  {what}")
+    rests = pauses(demonstration)
+    print("\n  ticks    pause" if rests else "\nno pause of a second")
+    for start, stop in rests:
+        print(f"{start:>4}-{stop:<4}  {(stop - start) * STEP_DT:.1f} s")
     if options.figure is not None:
         from lerobot_demohlm.demonstrations.timeline import write_timeline
 

@@ -43,10 +43,9 @@ def _take(view: SceneView) -> Sequence[Waypoint]:
         go(-0.13, 0.10, 1.2),
         go(-0.10, 0.03, 1.0, watched=True),
         go(0.0, 0.0, 1.4, watched=True),
-        go(0.0, 0.0, 1.0, watched=True),
-        go(0.0, 0.0, 0.8, CLOSED),
+        go(0.0, 0.0, 0.4, watched=True),
+        go(0.0, 0.0, 0.6, CLOSED),
         go(-0.01, STACKED + CLEAR, 1.6, CLOSED),
-        go(-0.01, STACKED + CLEAR, 0.6, CLOSED),
     ]
 
 
@@ -60,9 +59,9 @@ def _stack(view: SceneView) -> Sequence[Waypoint]:
 
     return [
         go(0.0, CLEAR, 1.6, CLOSED),
-        go(0.0, CLEAR, 0.8, CLOSED),
+        go(0.0, CLEAR, 0.4, CLOSED),
         go(0.0, 0.0, 1.6, CLOSED),
-        go(0.0, 0.0, 1.2, CLOSED),
+        go(0.0, 0.0, 0.4, CLOSED),
         go(0.0, 0.0, 0.8),
         go(-0.13, 0.04, 1.6),
         go(-0.13, 0.04, 1.6),
