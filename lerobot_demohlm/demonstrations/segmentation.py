@@ -44,13 +44,14 @@ REACH_TICKS = 20  # an object that comes to rest later before it is touched does
 CLEAR_M = 0.05  # an object that is so far from where it was taken is clear of what it lay on
 
 
+def stretches(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Return [start, stop) of the stretches in which a flag (T,) holds, in the order of time."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def _runs(active: np.ndarray, min_ticks: int) -> list[tuple[int, int]]:
     """Return [start, stop) of the stretches in which a flag (T,) holds, shorter gaps and then shorter runs dropped."""
-
-    def stretches(flags: np.ndarray) -> list[tuple[int, int]]:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-        return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
     filled = active.copy()
     for start, stop in stretches(~active):
         if stop - start < min_ticks and start > 0 and stop < len(active):
