@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception import fit
+from gym_demohlm.perception import fit, placement
 from gym_demohlm.perception.camera import Intrinsics, Window
 from gym_demohlm.perception.d435 import DepthNoise
 from gym_demohlm.perception.meshes import ObjectMesh
@@ -25,10 +25,8 @@ from gym_demohlm.perception.starts import starts
 LEAST_PIXELS = 40  # a smaller mask shows nothing
 _ROUGH_ITERATIONS, _FINE_ITERATIONS, _TRACK_ITERATIONS = 4, 8, 6
 _ROUGHLY_FITTED, _REFINED = 8, 3  # of the starts
-_ALONG = np.linspace(-0.3, 0.3, 7)  # of its extent, by which an object may lie elsewhere if no edge says where it is
 _BELIEVED_IOU, _BELIEVED_INLIERS = 0.55, 0.45
 _GOOD_IOU, _GOOD_INLIERS = 0.85, 0.85
-_OVERLAP = 0.60  # IoU of guess and mask below which the guess is moved
 _SETTLED = 20  # frames, after which those that come before it is in full view are over
 _FORGET_S = 0.5  # after which a fit from where it was is not tried
 _BEST_SCORE = fit.Quality(inliers=1.0, iou=1.0).score
@@ -135,7 +133,7 @@ class Tracker:
         view = fit.make_view(depth, mask, window, self.intrinsics, self._noise, hiders)
         if view.num_pixels < LEAST_PIXELS:
             return self._held(dt)
-        result, quality, registered, whole = None, None, False, self._is_whole(view)
+        result, quality, registered, whole = None, None, False, placement.is_whole(view)
         if self.track is not None and self.track.age_s <= _FORGET_S:
             result, quality = self._follow(view, T_odom_optical, hand_motions)
         if quality is None or not _believed(quality) or (whole and self._found_in_part):
@@ -209,7 +207,7 @@ class Tracker:
         still = self.expected(T_odom_optical)
         assert still is not None
         resting = not self._moving and (self.shape.mesh.fixed or not hand_motions)
-        moved = self._moved_to_mask(still, view)
+        moved = placement.moved_to_mask(self.shape, still, view)
         if resting and (moved is None or self.shape.mesh.fixed):
             prior = self._prior(still, T_odom_optical, handled=False)
             best = fit.fit(self.shape, still, view, prior, _TRACK_ITERATIONS)
@@ -220,7 +218,7 @@ class Tracker:
         motions = [*hand_motions, *([self._motion] if self._moving else [])]
         guesses = [still, *(T_optical_odom @ motion @ T_odom_optical @ still for motion in motions)]
         guesses.sort(key=lambda guess: -fit.assess(self.shape, guess, view, self._last.scale).score)
-        moved = self._moved_to_mask(guesses[0], view)
+        moved = placement.moved_to_mask(self.shape, guesses[0], view)
         best, quality = self._last, fit.Quality(0.0, 0.0)
         for guess in guesses[:3] if moved is None else [moved, *guesses[:2]]:
             prior = self._prior(guess, T_odom_optical, handled=True)
@@ -247,36 +245,6 @@ class Tracker:
         covariance = np.linalg.inv(self._last.information + 1e-3 * np.eye(7))
         covariance = to_now @ covariance @ to_now.T + np.diag(deviation**2)
         return fit.Prior(guess, self._last.scale, np.linalg.inv(covariance))
-
-    def _moved_to_mask(self, guess: np.ndarray, view: fit.View) -> np.ndarray | None:
-        """Return the guess brought over the mask, or None where it is there already."""
-        if fit.overlap(self.shape, guess, view) > _OVERLAP:
-            return None
-        T = self._aligned(guess, view)
-        if self.shape.solid and len(view.points):
-            near = np.median(view.points[:, 2])
-            expected = float((self.shape.vertices @ T[2, :3]).min()) + T[2, 3] + 0.3 * self.shape.radius
-            if abs(near - expected) > 0.03:
-                T[:3, 3] *= (T[2, 3] + near - expected) / T[2, 3]
-        return T
-
-    def _aligned(self, T: np.ndarray, view: fit.View) -> np.ndarray:
-        """Return a pose moved across the image so that silhouette and mask have the same middle, or the same free edge.
-
-        Where the mask is cut off by the image's border, only its other edge says where the object is.
-        """
-        p_optical = self.shape.vertices @ T[:3, :3].T + T[:3, 3]
-        p_optical[:, 2] = np.maximum(p_optical[:, 2], 0.05)
-        uv = view.intrinsics.project(p_optical) - view.window.corner
-        low, high = uv.min(axis=0), uv.max(axis=0)
-        size = np.array([view.window.width, view.window.height])
-        cut_low, cut_high = view.low <= 1, view.high >= size - 2
-        shift = (view.low + view.high - low - high) / 2.0
-        shift = np.where(cut_low & ~cut_high, view.high - high, shift)
-        shift = np.where(cut_high & ~cut_low, view.low - low, shift)
-        result = T.copy()
-        result[:2, 3] += shift / view.intrinsics.focal * T[2, 3]
-        return result
 
     def register(
         self,
@@ -309,10 +277,10 @@ class Tracker:
             still = self._fitted_from(poses.invert(T_odom_optical) @ T_odom_expected, view, T_odom_optical)
             if still[1].score > _BEST_SCORE - _PREFERENCE:
                 return still  # no other pose explains the frame better by enough
-            if self.shape.mesh.fixed and not self._is_whole(view):
+            if self.shape.mesh.fixed and not placement.is_whole(view):
                 return still
         turned = [R_optical_odom @ start for start in starts(R_odom_object, still is not None)]
-        placed = [T for R_optical_object in turned for T in self._placed(R_optical_object, view)]
+        placed = [T for R_optical_object in turned for T in placement.placed(self.shape, R_optical_object, view)]
         rough = [
             fit.fit(self.shape, T, view, self._nothing(T), _ROUGH_ITERATIONS, reach=50).T
             for T in self._best(placed, view, _ROUGHLY_FITTED)
@@ -340,15 +308,6 @@ class Tracker:
         """Return the poses that explain a view best, the best one first."""
         return sorted(candidates, key=lambda T: -fit.assess(self.shape, T, view).score)[:count]
 
-    def _is_whole(self, view: fit.View) -> bool:
-        """Return whether the image's border cuts nothing off."""
-        return not np.any(self._cut(view))
-
-    def _cut(self, view: fit.View) -> tuple[np.ndarray, np.ndarray]:
-        """Return whether the image's border cuts it off at its low and at its high end (2,) bool, each in x and y."""
-        size = np.array([self.intrinsics.width, self.intrinsics.height])
-        return view.low + view.window.corner <= 1, view.high + view.window.corner >= size - 2
-
     def _nothing(self, T: np.ndarray) -> fit.Prior:
         """Return the prior of who knows the depth camera only."""
         information = self._unknown.copy()
@@ -367,27 +326,6 @@ class Tracker:
         result = T.copy()
         result[:3, :3] = turned[chosen]
         return result
-
-    def _placed(self, R_optical_object: np.ndarray, view: fit.View) -> list[np.ndarray]:
-        """Return poses of an orientation whose silhouettes have the place and size of the mask.
-
-        Several where the image's border cuts the object off and no other edge says where it is. The lower end of
-        furniture does not: the floor and other things hide it.
-        """
-        middle = self.intrinsics.unproject((view.low + view.high) / 2.0 + view.window.corner, np.array(1.0))
-        turned = (self.shape.vertices - self.shape.middle) @ R_optical_object.T
-        extent, seen = np.ptp(turned[:, :2], axis=0), np.maximum(view.high - view.low + 1, 1)
-        z = float(np.min(self.intrinsics.focal * extent / seen))  # the less hidden way
-        if self.shape.solid and len(view.points):
-            z = float(np.median(view.points[:, 2])) - 0.5 * float(turned[:, 2].min())
-        T = np.eye(4)
-        T[:3, :3] = R_optical_object
-        T[:3, 3] = middle * max(z, 0.1) - R_optical_object @ self.shape.middle
-        T = self._aligned(self._aligned(T, view), view)
-        cut_low, cut_high = self._cut(view)
-        unsure = cut_low & cut_high | [False, self.shape.mesh.fixed] & (cut_low | cut_high)
-        shifts = [_ALONG * extent[axis] if unsure[axis] else (0.0,) for axis in range(2)]
-        return [poses.pose([x, y, 0.0]) @ T for x in shifts[0] for y in shifts[1]]
 
 
 def _believed(quality: fit.Quality | None) -> bool:
