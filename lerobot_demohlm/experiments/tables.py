@@ -299,14 +299,15 @@ def _compared(
     first: str | None = None,
 ) -> str:
     """Return a table of policies against columns, for those with a line in one of the wanted ones."""
-    keys = ("task", "policy", "preset", "num_train_episodes", "variant", *(("region",) if first else ()))
+    keys = ("task", "policy", "preset", "train_device", "num_train_episodes", "variant")
+    keys += ("region",) if first else ()
     rows, tasks = [], _labels(lines)
     columns = [*([first] if first else []), *wanted]
     for key, found in group(lines, *keys).items():
         cells = {name: [line for line in found if column(line) == name] for name in columns}
         if any(cells[name] for name in wanted):
-            task, policy, preset, size, variant, *region = key
-            named = [tasks[task], *region, method_title(policy, preset), str(size), variant]
+            task, policy, preset, device, size, variant, *region = key
+            named = [tasks[task], *region, method_title(policy, preset, device), str(size), variant]
             rows.append([*named, *(percent(cells[name]) for name in columns)])
     if not rows:
         return ""
@@ -321,7 +322,7 @@ def cost_table(lines: Iterable[PolicyResult]) -> str:
         hours = [line.rollouts_per_hour for line in found if line.rollouts_per_hour]
         rows.append(
             [
-                f"{TITLES[policy]}, {preset}" + ("" if device == "cpu" else f", trained on {device}"),
+                f"{TITLES[policy]}, {preset}" + _trained_on(device),
                 str(len(found)),
                 f"{np.median([line.train_s for line in found]) / 60:.1f} min",
                 f"{np.median([line.train_samples_per_s for line in found]):.0f}",
@@ -350,6 +351,10 @@ def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str
     return sorted(found, key=lambda method: (POLICIES.index(method[0]), method[1]))
 
 
-def method_title(policy: str, preset: str) -> str:
-    """Return what a table calls a policy of a preset."""
-    return TITLES[policy] if preset == "cpu" else f"{TITLES[policy]} ({preset})"
+def method_title(policy: str, preset: str, device: str = "cpu") -> str:
+    """Return what a table calls a policy of a preset that was trained on a device."""
+    return TITLES[policy] + ("" if preset == "cpu" else f" ({preset})") + _trained_on(device)
+
+
+def _trained_on(device: str) -> str:
+    return "" if device == "cpu" else f", trained on {device}"
