@@ -77,6 +77,15 @@ def _after(docs: Path | None) -> list[list[str]]:
         demohlm = ["-m", "lerobot_demohlm.cli"]
         calls += [
             [*demohlm, "benchmark", "controller", "figures", "--root", str(docs)],
-            [*demohlm, "results", "--output", str(docs / "results.md"), "--readme", str(docs.parent / "README.md")],
+            [
+                *demohlm,
+                "results",
+                "--output",
+                str(docs / "results.md"),
+                "--readme",
+                str(docs.parent / "README.md"),
+                "--pages",
+                str(docs / "perception.md"),
+            ],
         ]
     return calls

@@ -15,20 +15,24 @@ class Options:
         results: Folder of JSON lines.
         output: Write all tables to this file, such as docs/results.md.
         readme: Put the table with one row a task between the markers of this file.
+        pages: Put tables between the markers of these files too, such as docs/perception.md.
     """
 
     results: Path = Path("results")
     output: Annotated[Path | None, default("print them")] = None
     readme: Annotated[Path | None, default("none")] = None
+    pages: tuple[Path, ...] = ()
 
 
 def run(options: Options) -> None:
     """Print all tables, or write the files that are named."""
-    from lerobot_demohlm.experiments.readme_tables import tables, update_readme, write_results
+    from lerobot_demohlm.experiments.readme_tables import tables, update_page, write_results
 
-    if options.output is None and options.readme is None:
+    pages = (*([options.readme] if options.readme else []), *options.pages)
+    if options.output is None and not pages:
         print(tables(options.results))
     if options.output is not None and write_results(options.output, options.results):
         print(f"updated {options.output}")
-    if options.readme is not None and update_readme(options.readme, options.results):
-        print(f"updated {options.readme}")
+    for page in pages:
+        if update_page(page, options.results):
+            print(f"updated {page}")

@@ -1,9 +1,9 @@
-"""Measured results, one JSON line each in ``results/``, -> ``docs/results.md`` and the table of the README.
+"""Measured results, one JSON line each in ``results/``, -> ``docs/results.md`` and the tables of other pages.
 
 A line says what was measured, by which command, at which commit. Tables are made from lines alone; nothing is typed in.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -23,7 +23,9 @@ from lerobot_demohlm.experiments.lines import (
 from lerobot_demohlm.experiments.measured_tables import MEASURED
 from lerobot_demohlm.experiments.tables import (
     EARLIER,
+    SHOWN_EPISODES,
     TITLES,
+    VARIED,
     age,
     experiments_tables,
     generated,
@@ -31,14 +33,11 @@ from lerobot_demohlm.experiments.tables import (
     latest,
     markdown,
     number,
+    perception_counts,
     regions_table,
     strict_rate,
 )
 from lerobot_demohlm.policies.presets import POLICIES
-
-BEGIN, END = "<!-- results -->", "<!-- /results -->"
-VARIED = "real"  # worlds that vary, in the README's table
-README_EPISODES = 1000  # training episodes of the policies in the README's table
 
 CAVEATS = """\
 These numbers come from a simulation that is kinder than a laboratory. Read them with this in mind. Tables of worlds
@@ -172,7 +171,7 @@ def readme_table(results: Path) -> str:
     Args:
         results: Folder of JSON lines.
     """
-    wanted = (VARIED, VARIED, "exact", DEFAULT_REGION, "cpu", README_EPISODES)
+    wanted = (VARIED, VARIED, "exact", DEFAULT_REGION, "cpu", SHOWN_EPISODES)
     chosen = [
         line
         for line in latest(read_policies(results / "experiments.jsonl"))
@@ -201,7 +200,7 @@ def readme_table(results: Path) -> str:
     text = (
         f"Success [%] in R3. Generation: {attempts} attempts in plain worlds, and in [`{VARIED}`](docs/variation.md) "
         "ones, where objects, robot, surroundings and pushes differ from attempt to attempt and the robot may try "
-        f"twice more. Policies: {episodes} rollouts in `{VARIED}` worlds, after training on {README_EPISODES} episodes "
+        f"twice more. Policies: {episodes} rollouts in `{VARIED}` worlds, after training on {SHOWN_EPISODES} episodes "
         f"of them; a mean where several seeds were trained. In `{VARIED}` worlds success is strict."
     )
     return f"{text}\n\n{markdown(header, rows)}"
@@ -226,23 +225,35 @@ def write_results(output: Path, results: Path) -> bool:
     return changed
 
 
-def update_readme(readme: Path, results: Path) -> bool:
-    """Put the README's table between its markers and return whether the file changed.
+MARKED: Mapping[str, Callable[[Path], str]] = {
+    "results": readme_table,
+    "perception": lambda results: perception_counts(read_policies(results / "experiments.jsonl")),
+}
+"""The tables that stand between markers ``<!-- NAME -->`` and ``<!-- /NAME -->`` of other pages."""
+
+
+def update_page(page: Path, results: Path) -> bool:
+    """Put tables between the markers of a page and return whether the file changed.
 
     Args:
-        readme: The file.
+        page: The file.
         results: Folder of JSON lines.
 
     Raises:
-        DatasetError: The markers are missing.
+        DatasetError: It has no markers, or one without the other.
     """
-    text = readme.read_text()
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise DatasetError(
-            f"{readme.name} without {BEGIN} and {END}", "both markers", "put them where the table belongs"
-        )
-    changed = f"{before}{BEGIN}\n{readme_table(results)}\n{END}{after}"
-    readme.write_text(changed)
-    return changed != text
+    before = text = page.read_text()
+    for name, table in MARKED.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if begin not in text and end not in text:
+            continue
+        head, _, rest = text.partition(begin)
+        _, found, tail = rest.partition(end)
+        if not found:
+            raise DatasetError(f"{page.name} with one of {begin} and {end}", "both", "put them where the table belongs")
+        text = f"{head}{begin}\n{table(results)}\n{end}{tail}"
+    if not any(f"<!-- {name} -->" in text for name in MARKED):
+        known = " or ".join(f"<!-- {name} --> and <!-- /{name} -->" for name in MARKED)
+        raise DatasetError(f"{page.name} without markers", known, "put them where the table belongs")
+    page.write_text(text)
+    return text != before

@@ -23,6 +23,9 @@ VARIANT_NOTES = {
     "real": "noise, in worlds that vary",
     "model": "noise, with object poses that have the tracker's fitted errors",
 }
+VARIED = "real"  # the data and the worlds of the tables that are shown first
+SHOWN_EPISODES = 1000  # training episodes of the policies in them
+NUM_ROLLOUTS = 250
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
 
 
@@ -291,6 +294,33 @@ def perception_table(lines: Iterable[PolicyResult]) -> str:
     return _compared(title, plain, lambda line: f"`{line.perception}`", [f"`{name}`" for name in names], "`exact`")
 
 
+def perception_counts(lines: Iterable[PolicyResult]) -> str:
+    """Return strict successes by how objects are seen, of policies of worlds that vary which saw them in several ways.
+
+    Those of the first seed and of a thousand episodes, in plain worlds and R3.
+    """
+    wanted = (VARIED, "none", DEFAULT_REGION, "cpu", SHOWN_EPISODES, 0)
+    keys = ("variant", "variation", "region", "preset", "num_train_episodes", "train_seed")
+    chosen = [line for line in latest(lines) if tuple(getattr(line, key) for key in keys) == wanted]
+    rows = []
+    for (task, policy), found in group(chosen, "task", "policy").items():
+        cells = {name: [line for line in found if line.perception == name] for name in PERCEPTIONS}
+        if sum(map(bool, cells.values())) > 1:
+            rows.append([task, TITLES[policy], *(_aged(_strict_count, cell) for cell in cells.values())])
+    return markdown(["task", "policy", *(f"`{name}`" for name in PERCEPTIONS)], rows)
+
+
+def _strict_count(lines: Sequence[PolicyResult]) -> str:
+    """Return how often the policy of one line succeeded strictly, and out of how many where it is not 250."""
+    count, episodes = lines[0].successes_strict, lines[0].episodes
+    return "-" if count is None else f"{count}" + ("" if episodes == NUM_ROLLOUTS else f" of {episodes}")
+
+
+def _aged(show: Callable[[Sequence[PolicyResult]], str], lines: Sequence[PolicyResult]) -> str:
+    """Return what is shown of a cell, and whether it is of an earlier version; a dash where there is nothing."""
+    return show(lines) + max(map(age, lines)) if lines else "-"
+
+
 def _compared(
     title: str,
     lines: Sequence[PolicyResult],
@@ -301,14 +331,14 @@ def _compared(
     """Return a table of policies against columns, for those with a line in one of the wanted ones."""
     keys = ("task", "policy", "preset", "train_device", "num_train_episodes", "variant")
     keys += ("region",) if first else ()
-    rows, tasks = [], _labels(lines)
+    rows = []
     columns = [*([first] if first else []), *wanted]
     for key, found in group(lines, *keys).items():
         cells = {name: [line for line in found if column(line) == name] for name in columns}
         if any(cells[name] for name in wanted):
             task, policy, preset, device, size, variant, *region = key
-            named = [tasks[task], *region, method_title(policy, preset, device), str(size), variant]
-            rows.append([*named, *(percent(cells[name]) for name in columns)])
+            named = [task, *region, method_title(policy, preset, device), str(size), variant]
+            rows.append([*named, *(_aged(percent, cells[name]) for name in columns)])
     if not rows:
         return ""
     header = ["task", *(["region"] if first else []), "policy", "episodes", "data", *columns]

@@ -96,8 +96,8 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
         line = dataclasses.replace(made, task=task, stamp=made_by, **varied)
         lines.append(tmp_path / "generation.jsonl", "demohlm reproduce", line)
     readme = tmp_path / "README.md"
-    readme.write_text(f"top\n{readme_tables.BEGIN}\nold\n{readme_tables.END}\nbottom\n")
-    assert readme_tables.update_readme(readme, tmp_path)
+    readme.write_text("top\n<!-- results -->\nold\n<!-- /results -->\nbottom\n")
+    assert readme_tables.update_page(readme, tmp_path)
     text = readme.read_text()
     assert "| LiftBox | 99.8 | 93.0 | 82.0 | 90.0 | - | 91.2 | 98.8 |" in text
     assert "| StackCube | - | 93.0, an earlier version | - | - | - | - | - |" in text
@@ -105,10 +105,30 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
     assert text.count("\n| ") == 1 + 10 + 1
     assert "500 attempts in plain worlds" in text and "250 rollouts in `real` worlds" in text
     assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
-    assert not readme_tables.update_readme(readme, tmp_path)
-    readme.write_text("no markers")
-    with pytest.raises(DatasetError, match="both markers"):
-        readme_tables.update_readme(readme, tmp_path)
+    assert not readme_tables.update_page(readme, tmp_path)
+    for text, wrong in (("nothing", "without markers"), ("<!-- results --> at the end", "with one of")):
+        readme.write_text(text)
+        with pytest.raises(DatasetError, match=wrong):
+            readme_tables.update_page(readme, tmp_path)
+        assert readme.read_text() == text
+
+
+def test_a_page_may_have_a_table_of_how_policies_see(tmp_path: Path) -> None:
+    cell = dataclasses.replace(CELL, num_train_episodes=1000, variant="real")
+    for change, successes, others in (
+        ({}, 249, {}),
+        ({"perception": "rgbd"}, 247, {"stamp": "old"}),
+        ({"perception": "model"}, 30, {"episodes": 48}),
+        ({"perception": "apriltag", "train_seed": 1}, 1, {}),
+        ({"task": "PressCube"}, 250, {}),  # seen in one way only
+    ):
+        line = make_line(dataclasses.replace(cell, **change), 249, successes_strict=successes, **others)
+        lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", line)
+    page = tmp_path / "perception.md"
+    page.write_text("<!-- perception -->\n<!-- /perception -->")
+    assert readme_tables.update_page(page, tmp_path)
+    rows = [line for line in page.read_text().splitlines() if line.startswith("| ")]
+    assert rows[1:] == ["| LiftBox | MLP | 249 | 247, an earlier version | 30 of 48 | - | - |"]
 
 
 def test_controllers_stand_side_by_side_each_with_its_newest_numbers(tmp_path: Path) -> None:
@@ -191,9 +211,10 @@ def test_the_committed_results_are_what_is_shown(tmp_path: Path) -> None:
     page = REPOSITORY / "docs" / "results.md"
     shown = readme_tables.results_page(REPOSITORY / "results")
     assert page.read_text() == shown, "run: demohlm results --output docs/results.md"
-    copy = tmp_path / "README.md"
-    copy.write_text((REPOSITORY / "README.md").read_text())
-    assert not readme_tables.update_readme(copy, REPOSITORY / "results"), "run: demohlm results --readme README.md"
+    for name in ("README.md", "docs/perception.md"):
+        copy = tmp_path / "page.md"
+        copy.write_text((REPOSITORY / name).read_text())
+        assert not readme_tables.update_page(copy, REPOSITORY / "results"), f"run: demohlm results --pages {name}"
 
 
 def test_every_committed_line_can_be_read() -> None:
