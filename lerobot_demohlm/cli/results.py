@@ -21,7 +21,7 @@ class Options:
     results: Path = Path("results")
     output: Annotated[Path | None, default("print them")] = None
     readme: Annotated[Path | None, default("none")] = None
-    pages: tuple[Path, ...] = ()
+    pages: Annotated[tuple[Path, ...], default("none")] = ()
 
 
 def run(options: Options) -> None:

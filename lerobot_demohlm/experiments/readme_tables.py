@@ -195,7 +195,12 @@ def readme_table(results: Path) -> str:
         rows.append(row)
     attempts = " or ".join(map(str, sorted({made.attempts for made in attempted.values()}))) or "no"
     episodes = " or ".join(map(str, sorted({result.episodes for result in chosen}))) or "no"
-    header = ["task", "generation", f"in `{VARIED}` worlds", *(f"{TITLES[policy]}, `{VARIED}`" for policy in POLICIES)]
+    header = [
+        "task",
+        "generation",
+        f"generation, `{VARIED}`",
+        *(f"{TITLES[policy]}, `{VARIED}`" for policy in POLICIES),
+    ]
     header += ["paper: generation", "paper: ACT, 5000 episodes"]
     text = (
         f"Success [%] in R3. Generation: {attempts} attempts in plain worlds, and in [`{VARIED}`](docs/variation.md) "

@@ -303,10 +303,12 @@ def perception_counts(lines: Iterable[PolicyResult]) -> str:
     keys = ("variant", "variation", "region", "preset", "num_train_episodes", "train_seed")
     chosen = [line for line in latest(lines) if tuple(getattr(line, key) for key in keys) == wanted]
     rows = []
-    for (task, policy), found in group(chosen, "task", "policy").items():
+    for (task, policy, device), found in group(chosen, "task", "policy", "train_device").items():
         cells = {name: [line for line in found if line.perception == name] for name in PERCEPTIONS}
         if sum(map(bool, cells.values())) > 1:
-            rows.append([task, TITLES[policy], *(_aged(_strict_count, cell) for cell in cells.values())])
+            rows.append(
+                [task, method_title(policy, "cpu", device), *(_aged(_strict_count, cell) for cell in cells.values())]
+            )
     return markdown(["task", "policy", *(f"`{name}`" for name in PERCEPTIONS)], rows)
 
 
