@@ -124,6 +124,13 @@ def table_recipe() -> str:
 
 
 @functools.cache
+def shoulder_recipe() -> str:
+    """Return eight letters that change with the numbers by which hands in R4 keep clear of their shoulders."""
+    playback = Settings().playback
+    return _digest([repr((playback.far_up_m, playback.shoulder_m)).encode()])[:8]
+
+
+@functools.cache
 def handing_over_recipe() -> str:
     """Return eight letters that change with the numbers by which a hand pushes a thing onto the other's palm in R4."""
     return _digest([repr(astuple(Settings().handing_over)).encode()])[:8]

@@ -36,12 +36,15 @@ def stamp(task: str, *variations: str, region: str = DEFAULT_REGION) -> str:
         region: Where attempts start.
 
     Returns:
-        Eight letters of the task, eight of each preset that its worlds vary by, and in R4, where such worlds have
-        tables, eight of how attempts keep clear of them; eight more where a hand pushes a thing onto the other's palm.
+        Eight letters of the task and eight of each preset that its worlds vary by. In R4 eight more: of a task without
+        tables, of how hands keep clear of their shoulders; of one with tables in worlds that vary, of how attempts keep
+        clear of these, and again eight where a hand pushes a thing onto the other's palm.
     """
     presets = sorted({re.split("[@:]", name)[0] for name in variations if get_variation(name)})
     recipes = [portability.stamp(get_task(task)), *map(portability.recipe, presets)]
-    if presets and region == WIDEST and get_task(task).supports:
+    if region == WIDEST and not get_task(task).supports:
+        recipes.append(portability.shoulder_recipe())
+    elif region == WIDEST and presets:
         recipes.append(portability.table_recipe())
         if portability.hands_over(task):
             recipes.append(portability.handing_over_recipe())

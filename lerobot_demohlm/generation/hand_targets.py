@@ -14,6 +14,7 @@ from lerobot_demohlm.demonstrations.segments import Segment
 from lerobot_demohlm.generation import retarget
 from lerobot_demohlm.generation.carrying import Carrying
 from lerobot_demohlm.generation.handing_over import HandingOver
+from lerobot_demohlm.generation.shoulders import before_shoulder
 from lerobot_demohlm.generation.stages import PlaybackSettings, first_approach
 from lerobot_demohlm.generation.tables import kept_above
 from lerobot_demohlm.generation.world_view import WorldView
@@ -215,6 +216,10 @@ class HandTargets:
             path = targets[: entry.stop - entry.start, column]
             if entry.kind == "object" and entry.start == 0 and self._over_m is not None:
                 path = kept_above(path, self._over_m)
+            if entry.kind == "object" and self._is_far_up(entry.object):
+                ahead = poses.heading(self._world.pose("pelvis"))[:3, 0]
+                p_shoulder = self._world.pose(f"{entry.hand}_shoulder_roll_link")[:3, 3]
+                path = before_shoulder(path, p_shoulder, ahead, self._settings.shoulder_m)
             self._targets[entry.start : entry.stop, hand] = path
 
     def _note(self, group: tuple[Segment, ...], then: np.ndarray, now: np.ndarray) -> None:
@@ -233,6 +238,10 @@ class HandTargets:
         began = self._demonstration.T_world_objects[0, self._names.index(name), 2, 3]
         higher = float(self._world.start_pose(name)[2, 3] - began)
         return higher if higher > NO_HIGHER_M else 0.0
+
+    def _is_far_up(self, name: str | None) -> bool:
+        """Return whether a thing that is on no table began so much higher than demonstrated that arms lack room."""
+        return not self._task.supports and self._raised(name) > self._settings.far_up_m
 
     def _symmetry(self, name: str, T_W_Od: np.ndarray, T_W_O: np.ndarray, tick: int) -> np.ndarray:
         if name not in self._symmetries:

@@ -63,6 +63,9 @@ class PlaybackSettings:
         final_ticks: Ticks to hold the last command after the demonstration has ended.
         watches_base: Whether commands are found for where the base is at each tick. Otherwise it is looked at when a
             part of the motion begins, and thought to move as demonstrated from then on.
+        far_up_m: Height above the demonstrated one from which on hands keep clear of their shoulders on the way to a
+            thing that is on no table [m]; R1 to R3 do not reach it.
+        shoulder_m: Distance that a palm then keeps from its shoulder [m].
         delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
     """
 
@@ -87,6 +90,8 @@ class PlaybackSettings:
     displaced_m: float = 0.06
     final_ticks: int = 5
     watches_base: bool = True
+    far_up_m: float = 0.06
+    shoulder_m: float = 0.3
     delicate_ticks: tuple[int, int] = (10, 5)
 
     def transit_ticks(self, T_from: np.ndarray, T_to: np.ndarray) -> int:

@@ -329,12 +329,13 @@ def test_a_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert lines.read_policies(tmp_path / "results/experiments.jsonl") == kept
 
 
-def test_results_in_r4_say_how_attempts_keep_clear_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where worlds vary and have tables; elsewhere the letters stay."""
+def test_results_in_r4_say_how_attempts_keep_clear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of tables, where worlds vary and have some; of shoulders, where there is none; elsewhere the letters stay."""
     near = stamp("LiftBox", "real")
     assert stamp("LiftBox", "real", region="R4") == near + portability.table_recipe()
     assert stamp("LiftBox", "none", region="R4") == stamp("LiftBox")
-    assert stamp("PushCart", "real", region="R4") == stamp("PushCart", "real")
+    for world in ("none", "real"):
+        assert stamp("PushCart", world, region="R4") == stamp("PushCart", world) + portability.shoulder_recipe()
     handed = portability.table_recipe() + portability.handing_over_recipe()
     assert stamp("Handover", "real", region="R4") == stamp("Handover", "real") + handed
     stamp.cache_clear()
