@@ -258,6 +258,7 @@ class Task:
         objects: Tracked objects, in the order of ``environment_state``.
         success: The paper's success condition.
         gaze_target: Name of the object that the neck keeps in view.
+        searched: Other objects, which may be out of view: the neck looks around until it has seen each of them once.
         supports: Mocap bodies of the furniture under objects, the first one under the placed objects; they move with
             the region's y and z offsets. One that is itself among the objects is placed as such.
         obstacles: Bodies that the robot should not touch; contacts with them are reported as collisions.
@@ -284,6 +285,7 @@ class Task:
     objects: tuple[ObjectSpec, ...]
     success: Predicate
     gaze_target: str
+    searched: tuple[str, ...] = ()
     supports: tuple[str, ...] = ()
     obstacles: tuple[str, ...] = ()
     contact_pairs: tuple[tuple[str, str], ...] = ()
@@ -316,6 +318,7 @@ class Task:
         carriers = [entry.moves_with for entry in self.objects if entry.moves_with is not None]
         for name in (
             self.gaze_target,
+            *self.searched,
             *(name for _, name in self.contact_pairs),
             *carriers,
             *self.riders,

@@ -91,6 +91,7 @@ def fit_model(task: Task, tracks: Sequence[ErrorTrack], origin: dict[str, Any]) 
                 shift=_channel([track.shift[:, k] for track in tracks], tracks, k),
                 turn=_channel([track.turn[:, k] for track in tracks], tracks, k),
                 **odds,
+                found_first=_first_odds(tracks, k),
             )
         )
     return ErrorModel(task=task.name, origin=origin, objects=tuple(objects))
@@ -105,6 +106,18 @@ def _odds(tracks: Sequence[ErrorTrack], k: int, change: str, how: str) -> float:
         chosen = before & (hidden if how == "hidden" else ~hidden)
         counts += chosen.sum(), (chosen & (valid[1:] != valid[:-1])).sum()
     return float(counts[1] / counts[0]) if counts[0] else 0.5
+
+
+def _first_odds(tracks: Sequence[ErrorTrack], k: int) -> float | None:
+    """Return how often a frame shows an object that none has shown yet and nothing hides; None where none waited."""
+    found = waited = 0
+    for track in tracks:
+        valid, hidden = track.valid[:, k], track.visible[:, k] < HIDDEN
+        first = int(np.argmax(valid)) if valid.any() else len(valid)
+        waiting = ~hidden[1 : first + 1]
+        waited += int(waiting.sum())
+        found += int(0 < first < len(valid) and not hidden[first])
+    return found / waited if waited else None
 
 
 def _channel(errors: Sequence[np.ndarray], tracks: Sequence[ErrorTrack], k: int) -> Channel:

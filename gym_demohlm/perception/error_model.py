@@ -86,6 +86,8 @@ class ObjectErrors:
         lost_when_hidden: The same where it is hidden.
         found_when_seen: Odds of a frame that shows it after one that did not.
         found_when_hidden: The same where it is hidden.
+        found_first: Odds of a frame that shows it, where none has yet and it is not hidden; None for those of
+            ``found_when_seen``. Later another object may hide it, which is left out of what is visible.
     """
 
     name: str
@@ -95,6 +97,7 @@ class ObjectErrors:
     lost_when_hidden: float
     found_when_seen: float
     found_when_hidden: float
+    found_first: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,12 +117,18 @@ class ErrorModel:
     @property
     def hash(self) -> str:
         """SHA-256 of all numbers and of what they were fitted to."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(self._content(), sort_keys=True).encode()).hexdigest()
 
     def write(self, path: Path) -> None:
         """Write the model with its hash."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({**asdict(self), "hash": self.hash}, indent=1) + "\n")
+        path.write_text(json.dumps({**self._content(), "hash": self.hash}, indent=1) + "\n")
+
+    def _content(self) -> dict[str, Any]:
+        """Return all numbers, without those that are not there."""
+        content = asdict(self)
+        objects = [{key: value for key, value in entry.items() if value is not None} for entry in content["objects"]]
+        return {**content, "objects": objects}
 
 
 def fitted_path(task: Task) -> Path:

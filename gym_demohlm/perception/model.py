@@ -108,6 +108,8 @@ class ModelPerceiver:
         for k, entry in enumerate(self.model.objects):
             lost = np.where(hidden[:, k], entry.lost_when_hidden, entry.lost_when_seen)
             found = np.where(hidden[:, k], entry.found_when_hidden, entry.found_when_seen)
+            if entry.found_first is not None:
+                found = np.where(np.isinf(self._age[rows, k]) & ~hidden[:, k], entry.found_first, found)
             before = self._valid[rows, k] | ~self._begun[rows]
             shown[:, k] = np.where(before, odds[:, k] >= lost, odds[:, k] < found)
         return (shown & (visible > 0.0)) | (self.share[rows] == 0.0)[:, None]

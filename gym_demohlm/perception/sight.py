@@ -9,6 +9,7 @@ import numpy as np
 from gym_demohlm.perception.disturbance import Disturbance
 from gym_demohlm.perception.disturbed import DisturbedPerceiver
 from gym_demohlm.perception.estimate import PoseEstimate, faults_of
+from gym_demohlm.perception.looking import LookAround
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
@@ -18,6 +19,8 @@ from gym_demohlm.variation import Conditions, Variation
 
 class Sight:
     """Looks once a step and remembers what it saw; its estimate of the gaze target drives the neck.
+
+    A neck first looks around for those objects of the task that it has to search (``Task.searched``).
 
     What is random in an episode's eyes is a function of where the episode starts, so an episode sees the same alone and
     among others.
@@ -44,6 +47,7 @@ class Sight:
             inliers=np.zeros(shape),
         )
         self._gaze = [entry.name for entry in sim.task.objects].index(sim.task.gaze_target)
+        self._around = LookAround(sim.task, sim.num_worlds)
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -53,6 +57,7 @@ class Sight:
     def begin(self, rows: np.ndarray, initial_states: Sequence[InitialState]) -> None:
         """Begin episodes in some worlds (n,) and look at them."""
         self._perceiver.begin(rows, [_seed(state) for state in initial_states])
+        self._around.begin(rows)
         if isinstance(self._perceiver, DisturbedPerceiver):
             drawn = [Disturbance.of(self._settings, Conditions.read(state)) for state in initial_states]
             self._perceiver.disturb(rows, drawn)
@@ -65,7 +70,9 @@ class Sight:
         seen = self._perceiver.observe(self._sim, rows)
         for name in ("T_camera_object", "valid", "age_s", "inliers"):
             getattr(self._estimate, name)[rows] = getattr(seen, name)
-        self._sim.p_camera_gaze = self._estimate.position(self._gaze)
+        p_camera_gaze = self._estimate.position(self._gaze)
+        p_camera_gaze[rows] = self._around.targets(self._sim, rows, p_camera_gaze[rows], self._estimate.age_s[rows])
+        self._sim.p_camera_gaze = p_camera_gaze
 
     def environment_state(self) -> np.ndarray:
         """Return the observation of all worlds (N, 9k) float32."""

@@ -67,6 +67,7 @@ TASK = Task(
     success=_set_down,
     failures={"dropped": dropped("box", DROP)},
     gaze_target="box",
+    searched=("goal",),
     supports=("table", "goal"),
     obstacles=("table", "goal"),
     contact_pairs=(("left", "box"), ("right", "box")),

@@ -156,3 +156,36 @@ def test_what_is_lost_is_held_and_not_valid() -> None:
     told, _, valid = _watched(replace(model, objects=(always,)), 0)
     assert not valid.any()
     np.testing.assert_allclose(told[:, 0], np.broadcast_to([1.0, 0.0, 0.0], told[:, 0].shape), atol=0.05)  # never seen
+
+
+def test_the_first_sight_has_odds_of_its_own() -> None:
+    """What was lost may be behind another object, which nothing tells; what was never seen comes into the picture."""
+    rng, tracks = np.random.default_rng(4), _tracks(_channel(0.002), 60, 150, 3)
+    assert (
+        fit_model(TASK, [replace(track, valid=track.valid | True) for track in tracks], {}).objects[0].found_first
+        is None
+    )
+    late = []
+    for track in tracks:
+        first, valid = 3 + rng.geometric(0.4), rng.random(track.valid.shape) < 0.6
+        valid[:first], valid[first] = False, True
+        visible = track.visible.copy()
+        visible[:4] = 0.0  # out of the picture; each later frame may show it
+        late.append(replace(track, valid=valid, visible=visible))
+    model = fit_model(TASK, late, {})
+    assert model.objects[0].found_first == pytest.approx(0.4, abs=0.12)
+
+    (entry,) = read_model(fitted_path(TASK), TASK).objects
+    once = replace(entry, lost_when_seen=1.0, lost_when_hidden=1.0, found_when_seen=0.0, found_when_hidden=0.0)
+    model = replace(read_model(fitted_path(TASK), TASK), objects=(replace(once, found_first=1.0),))
+    _, _, valid = _watched(model, 0)
+    np.testing.assert_array_equal(valid[:, 0].ravel()[:4], [False, True, False, False])
+
+
+def test_a_file_says_what_was_fitted_and_no_more(tmp_path: Path) -> None:
+    task = get_task("CarryBox")
+    model = read_model(fitted_path(task), task)
+    assert [entry.found_first is None for entry in model.objects] == [True, False]
+    model.write(tmp_path / "model.json")
+    assert (tmp_path / "model.json").read_bytes() == fitted_path(task).read_bytes()
+    assert read_model(tmp_path / "model.json", task) == model
