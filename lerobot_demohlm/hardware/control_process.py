@@ -23,7 +23,7 @@ from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 from lerobot_demohlm.hardware import records, remote, robot_observation
 from lerobot_demohlm.hardware.errors import RobotError
-from lerobot_demohlm.hardware.following import CommandFollower, NeckFollower
+from lerobot_demohlm.hardware.following import CommandFollower, NeckFollower, Search
 from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowCmd
 from lerobot_demohlm.hardware.limits import COMMAND_TIMEOUT_S, RAMP_S, Ages, Limits
 from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link
@@ -85,9 +85,8 @@ class ControlProcess:
         self._controller = WholeBodyController(1, settings.weights)
         gains = self._controller.settings
         self._kp, self._kd = np.array(gains.stiffness), np.array(gains.damping)
-        names = [entry.name for entry in task.objects]
-        self._gaze, self._searched = names.index(task.gaze_target), [names.index(name) for name in task.searched]
-        self._unseen = set(self._searched)  # since the controller began
+        self._gaze = [entry.name for entry in task.objects].index(task.gaze_target)
+        self._search = Search(task)
         self._watch, self._odometry = StateWatch(settings.limits), LegOdometry()
         self._machine = StateMachine(limits=settings.limits, ages=settings.ages, sleep_limit=COMMAND_TIMEOUT_S)
         self._slots = {name: records.slot(settings.folder, name) for name in records.RECORDS}
@@ -194,7 +193,7 @@ class ControlProcess:
             assert self._watch.state is not None
             self._start = self._watch.state.q[:NUM_JOINTS].astype(np.float64)
             self._follower, self._neck = CommandFollower(command.rest()), NeckFollower()
-            self._unseen = set(self._searched)
+            self._search.begin()
         elif mode == Mode.HOLD:
             here = self._follower.now()
             here[command.VELOCITY] = 0.0
@@ -244,11 +243,11 @@ class ControlProcess:
         pose, state, servos = (self._slots[name].read() for name in ("pose", "state", "servos"))
         target, lost = None, self._seen.pose > self._settings.ages.pose
         if pose is not None and not lost:
-            self._unseen -= {column for column in self._unseen if pose.value["valid"][column]}
+            self._search.note(pose.value["valid"])
         if pose is not None and state is not None and not lost and pose.value["valid"][self._gaze]:
             seen = robot_observation.objects(pose.value, state.value, None if servos is None else servos.value)
             target = seen[self._gaze, :3, 3]
-        searches = (lost or bool(self._unseen)) and self._seen.policy < np.inf  # who has no policy needs no object
+        searches = (lost or self._search.goes_on) and self._seen.policy < np.inf  # who has no policy needs no object
         neck = self._neck.tick(None if searches else target, searches=searches)
         goals = records.record("servo_goals", neck=neck, grippers=now[command.GRIPPERS], enabled=True)
         self._slots["servo_goals"].write(goals)

@@ -9,6 +9,7 @@ import numpy as np
 from gym_demohlm.control import command
 from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.simulation.simulation import MAX_ARM_SPEED
+from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT, TICKS
 
 SEARCH = np.array(
@@ -51,6 +52,32 @@ class CommandFollower:
         before, after = self._before[command.ARMS], self._next[command.ARMS]
         found[command.ARMS] = (1.0 - share) * before + share * after
         return found
+
+
+class Search:
+    """Tells whether a neck still has to look around for objects that may be out of view.
+
+    Args:
+        task: Whose ``searched`` objects they are.
+    """
+
+    def __init__(self, task: Task) -> None:
+        names = [entry.name for entry in task.objects]
+        self._columns = [names.index(name) for name in task.searched]
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was seen."""
+        self._unseen = set(self._columns)
+
+    def note(self, valid: np.ndarray) -> None:
+        """Take in which objects (k,) a picture showed."""
+        self._unseen -= {column for column in self._unseen if valid[column]}
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether one of them was never seen."""
+        return bool(self._unseen)
 
 
 class NeckFollower:

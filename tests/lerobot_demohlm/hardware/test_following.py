@@ -10,7 +10,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import CONTROL_DT, TICKS
 from lerobot_demohlm.hardware import records, robot_observation
-from lerobot_demohlm.hardware.following import SEARCH, SEARCH_SPEED, CommandFollower, NeckFollower
+from lerobot_demohlm.hardware.following import SEARCH, SEARCH_SPEED, CommandFollower, NeckFollower, Search
 
 
 def test_commands_are_those_of_a_simulation() -> None:
@@ -91,3 +91,17 @@ def test_a_neck_that_searches_sees_every_direction_and_turns_to_what_it_finds() 
 def test_a_neck_that_sees_nothing_and_does_not_search_rests() -> None:
     neck = NeckFollower()
     assert not any(neck.tick(None).any() for _ in range(50))
+
+
+def test_a_search_goes_on_until_each_object_was_seen_once() -> None:
+    """CarryBox's goal; tasks without such objects never search."""
+    search = Search(get_task("CarryBox"))
+    search.note(np.array([True, False]))
+    assert search.goes_on
+    search.note(np.array([False, True]))
+    assert not search.goes_on
+    search.note(np.array([False, False]))
+    assert not search.goes_on
+    search.begin()
+    assert search.goes_on
+    assert not Search(get_task("StackCube")).goes_on
