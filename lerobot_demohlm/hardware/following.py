@@ -55,7 +55,7 @@ class CommandFollower:
 
 
 class Search:
-    """Tells whether a neck still has to look around for objects that may be out of view.
+    """Tells whether a neck still has to look around, along `SEARCH`, for objects that may be out of view.
 
     Args:
         task: Whose ``searched`` objects they are.

@@ -1,6 +1,7 @@
 """A neck looks around for things that may be out of view, until it has seen them; others keep their gaze."""
 
 import math
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -10,6 +11,7 @@ from gym_demohlm import poses
 from gym_demohlm.control.gaze import GazeController
 from gym_demohlm.perception.camera import head_intrinsics
 from gym_demohlm.perception.looking import GLANCES, LONGEST_S, REST_S, LookAround
+from gym_demohlm.perception.sight import Sight
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
@@ -86,3 +88,27 @@ def test_the_gaze_of_other_tasks_stays(name: str) -> None:
     target = np.array([[1.0, 0.2, 0.1]])
     for _ in range(3):
         np.testing.assert_array_equal(around.targets(cast(Simulation, Neck()), np.array([0]), target, never), target)
+
+
+@pytest.mark.parametrize(("searched", "is_found"), [(("goal",), True), ((), False)])
+def test_a_tracker_finds_the_table_beside_the_robot_only_where_the_neck_looks_around(
+    searched: tuple[str, ...], is_found: bool
+) -> None:
+    """Drawn pictures of CarryBox, of a robot that stands: within 2.5 s, and where the table is."""
+    task = replace(get_task("CarryBox"), searched=searched)
+    start = task.sample("R3", np.random.default_rng(970001))
+    sim = Simulation(task, 1)
+    sim.reset([start])
+    eyes, rows = Sight(sim, "rgbd"), np.array([0])
+    try:
+        eyes.begin(rows, [start])
+        for _ in range(25):
+            sim.step(sim.command)
+            eyes.look(rows)
+        assert bool(np.isfinite(eyes.estimate.age_s[0, 1])) == is_found
+        if is_found:
+            told = sim.pose("head_camera")[0] @ eyes.estimate.T_camera_object[0, 1]
+            assert np.linalg.norm(told[:3, 3] - sim.pose("goal")[0, :3, 3]) < 0.05
+    finally:
+        eyes.close()
+        sim.close()
