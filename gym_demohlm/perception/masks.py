@@ -1,21 +1,25 @@
 """A picture -> which pixels belong to an object: from the renderer's ids, or from colours alone.
 
 ``oracle`` takes the renderer's ids and makes their edges rough, as those of a good segmentation network are. It is no
-perception: a network would err in its own ways, too. ``color`` uses the picture and the object's known colours.
+perception: a network would err in its own ways, too. ``color`` uses the picture and the object's known colours; what is
+grey has none.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
 
+from gym_demohlm.errors import SceneError
 from gym_demohlm.perception import smooth_noise
+from gym_demohlm.perception.meshes import ObjectMesh
 
 _EDGE_BLUR = 1.0  # px
 _EDGE_CORRELATION = 4.0  # px, along which an edge errs one way
 _MARGIN = 4  # px
 _DARK = 24.0  # of 255: a darker pixel has no colour to speak of
+_TOLERANCE = 0.05  # distance of the shares of red and green, below which two colours are one
 
 
 def oracle(ids: np.ndarray, geoms: Sequence[int] | np.ndarray, rng: np.random.Generator, jitter: float) -> np.ndarray:
@@ -45,7 +49,27 @@ def oracle(ids: np.ndarray, geoms: Sequence[int] | np.ndarray, rng: np.random.Ge
     return rough
 
 
-def color(image: np.ndarray, colors: np.ndarray, tolerance: float = 0.05) -> np.ndarray:
+def grey(meshes: Iterable[ObjectMesh]) -> list[str]:
+    """Return the names of objects that ``color`` cannot tell from walls and floors: parts of them are grey or white."""
+    return [mesh.name for mesh in meshes if (np.linalg.norm(_shares(mesh.colors) - 1 / 3, axis=1) < _TOLERANCE).any()]
+
+
+def refuse_grey(meshes: Iterable[ObjectMesh]) -> None:
+    """Check that ``color`` can find each object.
+
+    Raises:
+        SceneError: A part of one is white, grey or black.
+    """
+    names = grey(meshes)
+    if names:
+        raise SceneError(
+            f"masks=color, and parts of {', '.join(names)} that are white, grey or black",
+            "objects in colour, as a grey one cannot be told from walls and floor by its colour",
+            "use masks=oracle, or tags: perception=apriltag",
+        )
+
+
+def color(image: np.ndarray, colors: np.ndarray, tolerance: float = _TOLERANCE) -> np.ndarray:
     """Return the pixels (height, width) bool whose chromaticity is near one of an object's colours.
 
     Args:
@@ -56,12 +80,16 @@ def color(image: np.ndarray, colors: np.ndarray, tolerance: float = 0.05) -> np.
     pixels = image.astype(np.float32)
     total = pixels.sum(axis=-1)
     shares = pixels[..., :2] / np.maximum(total, 1.0)[..., None]
-    wanted = np.asarray(colors, dtype=np.float32)
-    wanted = wanted[:, :2] / np.maximum(wanted.sum(axis=1, keepdims=True), 1e-6)
-    apart = np.min([((shares - one) ** 2).sum(axis=-1) for one in wanted], axis=0)
+    apart = np.min([((shares - one) ** 2).sum(axis=-1) for one in _shares(colors)], axis=0)
     found = (apart < tolerance**2) & (total > 3 * _DARK)
     cleaned = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return cv2.morphologyEx(cleaned, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)).astype(bool)
+
+
+def _shares(colors: np.ndarray) -> np.ndarray:
+    """Return the shares (n, 2) float32 of red and green in colours (n, 3)."""
+    wanted = np.asarray(colors, dtype=np.float32)
+    return wanted[:, :2] / np.maximum(wanted.sum(axis=1, keepdims=True), 1e-6)
 
 
 def component_near(mask: np.ndarray, expected: tuple[float, float] | None, least: int) -> np.ndarray:

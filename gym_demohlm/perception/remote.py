@@ -52,7 +52,8 @@ class RemotePerceiver(SeeingPerceiver):
         settings: ``address``, ``timeout_s``, ``masks`` and ``camera_error`` are read.
 
     Raises:
-        SceneError: This machine has nothing to draw with; at the first look.
+        SceneError: This machine has nothing to draw with, or masks are by colour and an object is grey; at the first
+            look.
     """
 
     def __init__(self, task: Task, num_worlds: int, settings: PerceptionSettings) -> None:
@@ -81,6 +82,8 @@ class RemotePerceiver(SeeingPerceiver):
 
     def _open(self, sim: Simulation) -> VisualModel:
         self._meshes = known_meshes(sim.scene)
+        if self._settings.masks == "color":
+            masks.refuse_grey(self._meshes)
         return VisualModel(sim.model)
 
     def _look(

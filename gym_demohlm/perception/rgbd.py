@@ -93,7 +93,8 @@ class RgbdPerceiver(SeeingPerceiver):
         settings: What is wrong with the eyes.
 
     Raises:
-        SceneError: This machine has nothing to draw with; at the first look.
+        SceneError: This machine has nothing to draw with, or masks are by colour and an object is grey; at the first
+            look.
     """
 
     def __init__(self, task: Task, num_worlds: int, settings: RgbdSettings | None = None) -> None:
@@ -108,6 +109,8 @@ class RgbdPerceiver(SeeingPerceiver):
     def _open(self, sim: Simulation) -> VisualModel:
         visual, model = VisualModel(sim.model), sim.model
         self._meshes = known_meshes(sim.scene)
+        if self._settings.masks == "color":
+            masks.refuse_grey(self._meshes)
         self._doors = doors(model, self._meshes)
         alpha = model.geom_rgba[:, 3]
         self._is_transparent = np.append(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT), False)  # the last: id -1

@@ -1,5 +1,6 @@
 """A table, of the paper or of harder worlds, -> the cells to run, every task's first before any task's second."""
 
+import functools
 import hashlib
 import itertools
 import re
@@ -7,8 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
+from gym_demohlm.perception import masks
+from gym_demohlm.perception.meshes import object_meshes
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.scene import build_scene
 from gym_demohlm.task import DEFAULT_REGION, SCORING_SEEDS, WIDEST
 from gym_demohlm.variation import get_variation
 from gym_demohlm.variation.factors import GROUPS
@@ -200,6 +204,8 @@ def plan(
 ) -> list[Cell] | list[RegionCell]:
     """Return the cells of a table, each once: a round goes through all tasks before the next begins.
 
+    Masks by colour are left out of tasks with grey objects, which refuse them.
+
     Args:
         table: One of ``TABLES``.
         preset: "cpu" or "paper".
@@ -239,8 +245,15 @@ def plan(
         for region, variant in itertools.product(grid.regions, grid.variants)
         for variation, perception in itertools.product(grid.variations, grid.perceptions)
         for task in names
+        if PerceptionSettings.read(perception).masks != "color" or not _has_grey(task)
     ]
     return list(dict.fromkeys(cells))
+
+
+@functools.cache
+def _has_grey(task: str) -> bool:
+    """Tell whether masks by colour cannot find each object of a task."""
+    return bool(masks.grey(object_meshes(build_scene(get_task(task)).model, get_task(task))))
 
 
 def _rounds(grid: Grid) -> Iterable[tuple[str, int, int]]:

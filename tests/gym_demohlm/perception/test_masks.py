@@ -1,8 +1,13 @@
 """Masks: exact, rough at their edges, by colour."""
 
 import numpy as np
+import pytest
 
+from gym_demohlm.errors import SceneError
 from gym_demohlm.perception import masks
+from gym_demohlm.perception.perceiver import make_perceiver
+from gym_demohlm.registry import get_task
+from gym_demohlm.simulation import Simulation
 
 
 def _ids() -> np.ndarray:
@@ -41,3 +46,13 @@ def test_colour_finds_a_thing_in_shadow_and_in_light_but_no_grey_one() -> None:
     assert found[12:48, 12:38].all() and found[12:48, 52:78].all() and not found[:8].any()
     near = masks.component_near(found, (65.0, 30.0), 40)
     assert near[30, 65] and not near[30, 25]
+
+
+@pytest.mark.parametrize(("task", "named"), [("EraseBoard", "eraser, board"), ("PourWater", "bowl")])
+def test_grey_objects_are_refused_as_colour_does_not_tell_them_from_walls(task: str, named: str) -> None:
+    sim = Simulation(get_task(task), 1)
+    sim.reset([get_task(task).sample("R1", np.random.default_rng(0))])
+    eyes = make_perceiver("rgbd,masks=color", get_task(task), 1)
+    with pytest.raises(SceneError, match=f"parts of {named} that are white.*masks=oracle"):
+        eyes.observe(sim, np.arange(1))
+    sim.close()

@@ -70,6 +70,8 @@ def test_harder_worlds_have_tables_of_their_own() -> None:
     ]  # fmt: skip
     seen = plan("perception", tasks=["LiftBox"], policies=["mlp"], variants=["noise"])
     assert [c.perception for c in seen if isinstance(c, Cell)] == list(PERCEPTIONS)
+    grey = plan("perception", tasks=["PourWater"], policies=["mlp"], variants=["noise"])
+    assert {c.perception for c in grey if isinstance(c, Cell)} == set(PERCEPTIONS) - {"rgbd,masks=color"}
     graded = plan("robustness", tasks=["LiftBox"])
     assert len(graded) == 1 + len(GROUPS) * len(STRENGTHS) and graded[1].variation == "hard@0.5:objects"
     wrong: list[tuple[str, dict[str, Any]]] = [
