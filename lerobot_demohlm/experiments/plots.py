@@ -1,4 +1,4 @@
-"""Lines of results -> the paper's figures: success by data size, by policy and by region; failures by start."""
+"""Lines of results -> figures: success by data size, by policy, by region, by strength of a variation; failures."""
 
 import math
 from collections import Counter
@@ -11,18 +11,21 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from gym_demohlm.task import DEFAULT_REGION
+from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm import drawing
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import REGIONS
+from lerobot_demohlm.experiments.plan import REGIONS, STRENGTHS
+from lerobot_demohlm.experiments.robustness import Row
 from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, mean_rate, of_the_paper, rate
 from lerobot_demohlm.policies.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
 LEGEND = 28  # px, below the panels
 COLOURS = {"mlp": "#2f6f4f", "act": "#2b5f9e", "diffusion": "#8a5aa8", "paper": "#9aa2ab", "generation": "#2f6f4f"}
+COLOURS |= {"task": "#c3c9d0", "mean": "#2b5f9e"}
 _BAR = 0.07  # of a panel's width
 
 
@@ -33,10 +36,12 @@ class Curve:
     Attributes:
         name: What it shows; a key of COLOURS.
         points: (place on the horizontal axis in [0, 1], rate, low, high), rates in [0, 1].
+        tip: What tips call it; by default its name.
     """
 
     name: str
     points: Sequence[tuple[float, float, float, float]]
+    tip: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +72,7 @@ class Panel:
             places, means, lows, highs = 100 * np.array(curve.points, dtype=float).reshape(-1, 4).T
             places, colour = places / 100, COLOURS[curve.name]
             tip = [
-                f"{curve.name}: {mean:.1f} % ({low:.1f} to {high:.1f})"
+                f"{curve.tip or curve.name}: {mean:.1f} %" + (f" ({low:.1f} to {high:.1f})" if high > low else "")
                 for mean, low, high in zip(means, lows, highs, strict=True)
             ]
             if self.bars:
@@ -189,6 +194,28 @@ def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
         panels.append(Panel(title=task + age(found[REGIONS[0]]), ticks=ticks, curves=curves))
     return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else None
+
+
+def robustness_figure(rows: Sequence[Row]) -> Figure | None:
+    """Return strict success against the strength of a variation, a panel a group: a line a policy, and their mean."""
+    places = [strength / STRENGTHS[-1] for strength in (0.0, *STRENGTHS)]
+    ticks = [(place, f"{strength:g}") for place, strength in zip(places, (0.0, *STRENGTHS), strict=True)]
+    panels = []
+    for name in GROUPS:
+        rates = {row.name: [share for _, share, _, _ in row.points(name)] for row in rows}
+        whole = {policy: shares for policy, shares in rates.items() if len(shares) == len(places)}
+        if whole:
+            drawn = {**whole, f"mean of {len(whole)}": np.mean(list(whole.values()), axis=0).tolist()}
+            curves = [
+                Curve(
+                    name="task" if policy in whole else "mean",
+                    points=[(place, share, share, share) for place, share in zip(places, shares, strict=True)],
+                    tip=policy,
+                )
+                for policy, shares in drawn.items()
+            ]
+            panels.append(Panel(title=name, ticks=ticks, curves=curves))
+    return figure(panels, {"mean": "mean", "task": "one task"}, columns=3) if panels else None
 
 
 def failure_map(rollouts: Sequence[Rollout], bins: int = 8, size: int = 260) -> Figure:

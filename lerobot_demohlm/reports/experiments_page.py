@@ -27,6 +27,7 @@ from lerobot_demohlm.experiments import lines, plots, readme_tables
 from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import Cell
+from lerobot_demohlm.experiments.robustness import scored
 from lerobot_demohlm.experiments.tables import latest, method_title
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
 from lerobot_demohlm.policies.training import checkpoint
@@ -88,7 +89,10 @@ class Section:
 def figures(folder: Path) -> dict[str, Figure]:
     """Return the figures that the lines in a folder of results fill, by file name."""
     experiments = lines.read_policies(folder / "experiments.jsonl")
-    drawn = {"regions.svg": plots.regions_figure(lines.read_generation(folder / "generation.jsonl"))}
+    drawn = {
+        "regions.svg": plots.regions_figure(lines.read_generation(folder / "generation.jsonl")),
+        "robustness.svg": plots.robustness_figure(scored(experiments)),
+    }
     for preset in dict.fromkeys(result.preset for result in experiments):
         drawn[f"sizes_{preset}.svg"] = plots.size_figure(experiments, preset)
         drawn[f"architectures_{preset}.svg"] = plots.architectures_figure(experiments, preset)

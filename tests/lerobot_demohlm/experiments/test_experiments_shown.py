@@ -17,7 +17,8 @@ from lerobot_demohlm import cli, drawing
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import lines, paper, plots, readme_tables, robustness, tables
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import plan
+from lerobot_demohlm.experiments.plan import STRENGTHS, graded, plan
+from lerobot_demohlm.experiments.robustness import Row
 from lerobot_demohlm.experiments.variants import stamp
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports import experiments_page as page
@@ -86,6 +87,24 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert tables.regions_table([*aged, generated[-1]]) == "", "one region is of this version, the others are not"
     assert text.count("demohlm reproduce --table main") == 1
     assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
+
+
+def test_the_mean_of_robustness_is_of_the_policies_that_are_measured_at_all_strengths() -> None:
+    strong = {
+        graded("pushes", strength): (successes, 50) for strength, successes in zip(STRENGTHS, (40, 30, 20), strict=True)
+    }
+    weak = {
+        graded("pushes", strength): (successes, 50) for strength, successes in zip(STRENGTHS, (30, 20, 0), strict=True)
+    }
+    rows = [
+        Row(name="LiftBox", shares={"none": (50, 50), **strong}),
+        Row(name="Handover", shares={"none": (40, 50), **weak}),
+        Row(name="PushCube", shares={"none": (50, 50), graded("pushes", 1.0): (1, 50)}),
+    ]
+    drawn = plots.robustness_figure(rows)
+    assert drawn is not None and [axes.get_title("left") for axes in drawn.axes] == ["pushes"]
+    np.testing.assert_allclose(points(drawn), [100, 80, 60, 40, 80, 60, 40, 0, 90, 70, 50, 20])
+    assert plots.robustness_figure(rows[2:]) is None
 
 
 def points(figure: Figure) -> list[float]:
