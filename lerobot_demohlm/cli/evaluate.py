@@ -23,7 +23,7 @@ class Options:
     Attributes:
         policy: A pretrained_model directory of `demohlm train` or lerobot-train.
         task: Name of the task, such as LiftBox.
-        region: Initial region, R1 to R3.
+        region: Initial region, R1 to R4.
         variation: How worlds differ: none, real or hard, or groups of them such as "real:objects+pushes".
         num_episodes: Rollouts.
         seed: Seed of the first rollout; the next one has the next seed.

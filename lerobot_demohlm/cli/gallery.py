@@ -15,7 +15,7 @@ class Options:
 
     Attributes:
         task: Names of tasks, such as LiftBox.
-        region: Initial region, R1 to R3.
+        region: Initial region, R1 to R4.
         seed: Seed of the initial states.
         index: Number of the attempt among those of the seed.
         demonstration: Directory of the demonstration, for one task.

@@ -12,7 +12,7 @@ class Options:
 
     Attributes:
         task: Name of the task.
-        region: Initial region, R1 to R3.
+        region: Initial region, R1 to R4.
         num_attempts: Attempts of generation.
         rounds: Turns of writing.
     """

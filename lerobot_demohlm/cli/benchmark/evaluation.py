@@ -19,7 +19,7 @@ class Options:
     Attributes:
         policy: A pretrained_model directory.
         task: Name of the task.
-        region: Initial region, R1 to R3.
+        region: Initial region, R1 to R4.
         num_episodes: Rollouts of `demohlm evaluate`.
         num_lerobot_episodes: Rollouts of lerobot-eval.
         lerobot_batch_size: Worlds at a time of lerobot-eval.

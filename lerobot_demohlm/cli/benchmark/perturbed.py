@@ -18,7 +18,7 @@ class Options:
         num_operators: Operators, each with a demonstration of each task.
         num_attempts: Attempts from each demonstration.
         num_trial: Attempts of the trial that operators look at before they save; 0 for none.
-        region: Where attempts start, R1 to R3.
+        region: Where attempts start, R1 to R4.
         append: File of JSON lines with the results; what is in it is not measured again.
         root: Folder for the demonstrations.
     """

@@ -15,7 +15,7 @@ class Options:
 
     Attributes:
         task: Name of the task.
-        region: Initial region, R1 to R3.
+        region: Initial region, R1 to R4.
         seed: Seed of the run.
         num_attempts: Attempts.
         cameras: What is drawn of each, as in generate.
