@@ -39,12 +39,12 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, cameras: Sequ
         SceneError: This machine has nothing to draw with.
     """
     os.environ.setdefault("LP_NUM_THREADS", "1")  # as in a worker, who draws with one thread
-    sim = Simulation(task, BLOCK_SIZE, pool=make_pool(1))
+    sim = Simulation(task.at(region), BLOCK_SIZE, pool=make_pool(1))
     demonstration, settings = demonstrations.load(None, task), Settings(variation=PLAIN)
     recorder, watch = StateRecorder(), Stopwatch()
     plain = Attempts(task, demonstration, region, seed, settings=settings, sim=sim)
     recorded = Attempts(task, demonstration, region, seed, settings=settings, sim=sim, on_step=recorder)
-    painter = Painter(task, PictureFacts.of(cameras, light=0.0, texture=0.0, camera_shift=0.0))
+    painter = Painter(task.at(region), PictureFacts.of(cameras, light=0.0, texture=0.0, camera_shift=0.0))
     plain.run([0])  # it loads what is loaded once
     watch.watch(painter, "frames", "drawing")
     watch.watch(painter, "paint", "painting")  # drawing, encoding and statistics

@@ -120,8 +120,11 @@ def test_a_long_run_keeps_its_memory() -> None:
 
 
 @pytest.mark.slow
-def test_benchmark_of_pictures_splits_what_they_cost(capsys: pytest.CaptureFixture[str]) -> None:
-    call = ["benchmark", "pictures", "--task", "PressCube", "--region", "R1", "--cameras", "head:32x32:rgb,depth"]
+@pytest.mark.parametrize(("task", "region"), [("PressCube", "R1"), ("LiftBox", "R4")])  # R4 has a box of its own
+def test_benchmark_of_pictures_splits_what_they_cost(
+    task: str, region: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["benchmark", "pictures", "--task", task, "--region", region, "--cameras", "head:32x32:rgb,depth"]
     assert cli.main([*call, "--num-attempts", "1"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert found["successes"] == 1 and found["frames"] > 50
