@@ -68,6 +68,7 @@ def fit(
     Returns:
         The model, and a line an object with the quantiles of both; none without checks.
     """
+    task = task.at(region)
     sim = Simulation(task, 1)
     seen: list[tuple[list[Snapshot], ErrorTrack]] = []
     perceiver = make_perceiver(FITTED, task, 1)

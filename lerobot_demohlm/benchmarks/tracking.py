@@ -62,6 +62,7 @@ def looks(task: Task, region: str, seed: int, index: int, settings: RgbdSettings
         settings: What is wrong with the eyes.
     """
     take = generated_take(task, region, seed, index)
+    task = take.task
     sim = Simulation(task, 1)
     perceiver = RgbdPerceiver(task, 1, settings)
     row = np.array([0])
@@ -98,6 +99,7 @@ def measure(task: Task, region: str, seed: int, indices: Sequence[int]) -> list[
         seed: Of the run.
         indices: Of its attempts.
     """
+    task = task.at(region)
     rows: list[list[tuple[float, float, float, bool]]] = [[] for _ in task.objects]
     again: list[list[float]] = [[] for _ in task.objects]
     cpu = []
@@ -160,6 +162,7 @@ def drawn(task: Task, region: str, seed: int, index: int, every: int = 1) -> Ite
         index: Of the attempt.
         every: Frames from one picture to the next.
     """
+    task = task.at(region)
     sim = Simulation(task, 1)
     with closing(VisualModel(sim.model, cell=0.0)) as visual:
         shapes = [fit.Shape(mesh) for mesh in object_meshes(sim.model, task)]

@@ -21,6 +21,15 @@ def test_seen_poses_are_measured_and_shown(tmp_path: Path, capsys: pytest.Captur
     assert tracking_table([_measured(line)]) in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_shapes_alone_do_not_tell_the_sides_of_r4s_marked_cube(tmp_path: Path) -> None:
+    call = ["benchmark", "tracking", "--tasks", "GraspCube", "--num-episodes", "1", "--seed", "970000"]
+    assert main([*call, "--region", "R4", "--results", str(tmp_path)]) == 0
+    (line,) = jsonl.read(tmp_path / "tracking.jsonl")
+    assert line["position_mm"]["median"] < 4.0
+    assert abs(line["turn_deg"]["median"] - 90.0) < 4.0, "the episode's cube is a quarter turn off"
+
+
 def test_tables_show_the_newest_of_each_object() -> None:
     old, new = ({**_TRACKED, "position_mm": {"median": value, "p95": 5.0}} for value in (1.0, 2.0))
     table = tracking_table([_measured(old), _measured(new)])
