@@ -12,7 +12,7 @@ from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import PERCEPTIONS, REGIONS
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, VARIANTS
-from lerobot_demohlm.policies.presets import POLICIES
+from lerobot_demohlm.policies.presets import POLICIES, get_preset
 
 RESAMPLES = 10_000
 EARLIER = ", an earlier version"
@@ -84,8 +84,14 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
     return mean, min(mean, low), max(mean, high)
 
 
-def latest(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
-    """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds."""
+def latest(lines: Iterable[PolicyResult], *, any_steps: bool = False) -> list[PolicyResult]:
+    """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds.
+
+    Args:
+        lines: Of any cells.
+        any_steps: Take trainings of different numbers of steps for different cells. Otherwise those of as many as the
+            preset has are kept, where there are any.
+    """
     lines = list(lines)
 
     def worlds(line: PolicyResult) -> tuple[object, ...]:
@@ -93,8 +99,9 @@ def latest(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
 
     stamps = {worlds(line): line.stamp for line in lines}
     keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
-    keys += ("variation", "perception")
+    keys += ("variation", "perception", *(["steps"] if any_steps else []))
     current = [line for line in lines if line.stamp == stamps[worlds(line)]]
+    current.sort(key=lambda line: not _steps(line))
     return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
 
 
@@ -271,14 +278,15 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
 
 def worlds_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by how worlds vary and by region, for policies that acted in more than plain worlds."""
-    exact = [line for line in latest(lines) if line.perception == "exact" and ":" not in line.variation]
+    known = latest(lines, any_steps=True)
+    exact = [line for line in known if line.perception == "exact" and ":" not in line.variation]
     title = "**Success of policies in worlds that vary** [%]; `noise` is data of plain worlds, `real` of varied ones"
 
     def worlds(line: PolicyResult) -> str:
         return f"{line.region}, `{line.variation}`"
 
-    def trained(line: PolicyResult) -> tuple[str, str, str, int, str]:
-        return line.task, line.policy, line.preset, line.num_train_episodes, line.variant
+    def trained(line: PolicyResult) -> tuple[str, str, str, int, int, str]:
+        return line.task, line.policy, line.preset, line.steps, line.num_train_episodes, line.variant
 
     tried = {trained(line) for line in exact if line.variation != "none"}
     chosen = [line for line in exact if trained(line) in tried]
@@ -331,15 +339,15 @@ def _compared(
     first: str | None = None,
 ) -> str:
     """Return a table of policies against columns, for those with a line in one of the wanted ones."""
-    keys = ("task", "policy", "preset", "train_device", "num_train_episodes", "variant")
+    keys = ("task", "policy", "preset", "steps", "train_device", "num_train_episodes", "variant")
     keys += ("region",) if first else ()
     rows = []
     columns = [*([first] if first else []), *wanted]
     for key, found in group(lines, *keys).items():
         cells = {name: [line for line in found if column(line) == name] for name in columns}
         if any(cells[name] for name in wanted):
-            task, policy, preset, device, size, variant, *region = key
-            named = [task, *region, method_title(policy, preset, device), str(size), variant]
+            task, policy, preset, _, device, size, variant, *region = key
+            named = [task, *region, method_title(policy, preset, device) + _steps(found[0]), str(size), variant]
             rows.append([*named, *(_aged(percent, cells[name]) for name in columns)])
     if not rows:
         return ""
@@ -386,6 +394,11 @@ def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str
 def method_title(policy: str, preset: str, device: str = "cpu") -> str:
     """Return what a table calls a policy of a preset that was trained on a device."""
     return TITLES[policy] + ("" if preset == "cpu" else f" ({preset})") + _trained_on(device)
+
+
+def _steps(line: PolicyResult) -> str:
+    """Return what a table says of the training steps of a line: nothing where they are the preset's."""
+    return "" if line.steps == get_preset(line.policy, line.preset).steps else f", {line.steps} steps"
 
 
 def _trained_on(device: str) -> str:

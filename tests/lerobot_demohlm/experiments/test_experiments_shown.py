@@ -178,6 +178,17 @@ def test_harder_worlds_stand_beside_the_papers_tables(tmp_path: Path) -> None:
     assert "vary by one group" not in text
 
 
+def test_trainings_of_other_steps_have_rows_of_their_own_or_stand_in() -> None:
+    real = dataclasses.replace(CELL, variant="real", variation="real")
+    usual, longer = make_line(real, 100), make_line(dataclasses.replace(real, steps=24000), 200)
+    rows = tables.worlds_table([usual, longer]).splitlines()
+    assert rows[4].startswith("| LiftBox | MLP | 100 | real | 40.0 ")
+    assert rows[5].startswith("| LiftBox | MLP, 24000 steps | 100 | real | 80.0 ")
+    assert tables.latest([usual, longer]) == tables.latest([longer, usual]) == [usual]
+    assert tables.latest([longer]) == [longer]
+    assert tables.latest([usual, longer], any_steps=True) == [longer, usual]
+
+
 def test_scores_under_each_group_become_rows(tmp_path: Path) -> None:
     cell = dataclasses.replace(CELL, policy="act", variant="real")
     names = ["none", "hard@0.5:objects", "hard@1.5:objects", "real"]
