@@ -17,6 +17,7 @@ from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
 from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, read, sign
 from lerobot_demohlm.evaluation.scoring import first_seed
 from tests.helpers.checkpoints import save_policy
+from tests.helpers.paths import REPOSITORY
 
 
 def result(**changes: Any) -> dict[str, Any]:
@@ -114,3 +115,15 @@ def test_a_trial_goes_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixtur
     with (output / "rollouts_r4_real.jsonl").open("r+") as file:
         file.truncate(len(file.readline()))  # as if killed between the last two rollouts
     assert main(call) == 0 and read(output / "result.json")["cells"] == found["cells"]
+
+
+def test_published_results_are_as_they_were_written() -> None:
+    page = (REPOSITORY / "docs/benchmark.md").read_text()
+    found = sorted((REPOSITORY / "results/leaderboard").glob("*/result.json"))
+    assert found
+    for path in found:
+        content = read(path)
+        assert content["official"]
+        assert path.with_name("README.md").read_text() == card(content)
+        row = [f"{100 * cell['success_strict']['rate']:.1f}" for cell in content["cells"]]
+        assert f"| {' | '.join(row)} | {100 * content['score']:.1f} |" in page
