@@ -16,6 +16,7 @@ from lerobot_demohlm.evaluation import leaderboard
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
 from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, read, sign
 from lerobot_demohlm.evaluation.scoring import first_seed
+from lerobot_demohlm.experiments.tables import number
 from tests.helpers.checkpoints import save_policy
 from tests.helpers.paths import REPOSITORY
 
@@ -125,5 +126,5 @@ def test_published_results_are_as_they_were_written() -> None:
         content = read(path)
         assert content["official"]
         assert path.with_name("README.md").read_text() == card(content)
-        row = [f"{100 * cell['success_strict']['rate']:.1f}" for cell in content["cells"]]
-        assert f"| {' | '.join(row)} | {100 * content['score']:.1f} |" in page
+        shares = [*(cell["success_strict"]["rate"] for cell in content["cells"]), content["score"]]
+        assert f"| {' | '.join(number(100 * share) for share in shares)} |" in page
