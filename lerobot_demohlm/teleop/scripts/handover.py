@@ -1,5 +1,7 @@
 """Handover, scripted: left palm upwards below the table's edge, the right palm pushes the cube onto it, both go down.
 
+The right hand comes from the robot's side along the cube's face, so that it moves aside whatever stands beside the cube.
+
 This stands in for a person with a headset: it sends poses of the palms and sees no contact forces.
 """
 
@@ -20,7 +22,8 @@ stays clear of the trunk."""
 BELOW = 0.005  # m below the table's upper face: where the left palm waits
 WAIT_Y = TABLE_RADIUS + 0.044  # m, left of the cube: the palm's near edge is beside the table's
 PUSH_Z = 0.032  # m above the cube's centre: the palm stays clear of the table
-BACK_PITCH, CRADLE = 0.25, 0.03  # rad: right fingers down, left palm tilted towards the table
+BACK_PITCH, CRADLE, LEFT_PITCH = 0.25, 0.03, -0.08  # rad: right fingers down, left palm towards the table, its fingers up
+BESIDE_X, BESIDE_Y = -0.09, 0.03  # m, in front of the cube's middle, beside its face: where the right palm comes down
 PUSHED = 0.02  # m past the table's edge
 AWAY = (0.0, 0.05, 0.0)  # m, how the left palm moves with the cube: first aside,
 TAKEN = (-0.03, 0.07, -0.12)  # m, then down
@@ -36,7 +39,7 @@ def _plan(view: SceneView) -> list[Waypoint]:
     T = view.T_world_objects["cube"]
     yaw = float(poses.wrap_angle(poses.yaw(view.T_world_pelvis) - poses.yaw(T)))
     T = T @ poses.planar(0.0, 0.0, math.pi / 2 * round(yaw / (math.pi / 2)))
-    palm_up = poses.rotation_from_rpy([CRADLE - math.pi / 2, 0.0, 0.0])
+    palm_up = poses.rotation_from_rpy([CRADLE - math.pi / 2, LEFT_PITCH, 0.0])
     pushing = poses.rotation_from_rpy([0.0, BACK_PITCH, 0.0])
     top = -CUBE_EDGE / 2
 
@@ -48,8 +51,9 @@ def _plan(view: SceneView) -> list[Waypoint]:
     aside = (wait[0], wait[1] + 0.12, wait[2])
     away, taken = (tuple(np.add(wait, way)) for way in (AWAY, TAKEN))
     return [
-        Waypoint(T_world_hands=hands(aside, (-0.04, start_y - 0.10, PUSH_Z + 0.14)), duration_s=1.5),
-        Waypoint(T_world_hands=hands(wait, (0.0, start_y - 0.07, PUSH_Z)), duration_s=1.5, watched=True),
+        Waypoint(T_world_hands=hands(aside, (-0.10, start_y - 0.07, PUSH_Z + 0.12)), duration_s=1.5),
+        Waypoint(T_world_hands=hands(wait, (BESIDE_X, start_y - BESIDE_Y, PUSH_Z)), duration_s=1.0, watched=True),
+        Waypoint(T_world_hands=hands(wait, (0.0, start_y - BESIDE_Y, PUSH_Z)), duration_s=1.5, watched=True),
         Waypoint(T_world_hands=hands(wait, (0.0, start_y - 0.01, PUSH_Z)), duration_s=1.0, watched=True),
         Waypoint(T_world_hands=hands(wait, (0.0, end_y, PUSH_Z)), duration_s=2.6),
         Waypoint(T_world_hands=hands(wait, (0.0, end_y, PUSH_Z)), duration_s=0.4),
