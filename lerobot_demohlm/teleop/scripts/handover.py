@@ -1,6 +1,6 @@
 """Handover, scripted: left palm upwards below the table's edge, the right palm pushes the cube onto it, both go down.
 
-The right hand comes from the robot's side along the cube's face, so that it moves aside whatever stands beside the cube.
+The right hand comes from the robot's side along the cube's face, so that it moves aside what stands beside the cube.
 
 This stands in for a person with a headset: it sends poses of the palms and sees no contact forces.
 """
@@ -22,7 +22,8 @@ stays clear of the trunk."""
 BELOW = 0.005  # m below the table's upper face: where the left palm waits
 WAIT_Y = TABLE_RADIUS + 0.044  # m, left of the cube: the palm's near edge is beside the table's
 PUSH_Z = 0.032  # m above the cube's centre: the palm stays clear of the table
-BACK_PITCH, CRADLE, LEFT_PITCH = 0.25, 0.03, -0.08  # rad: right fingers down, left palm towards the table, its fingers up
+BACK_PITCH = 0.25  # rad: the right hand's fingers down
+CRADLE, LEFT_PITCH = 0.03, -0.08  # rad: the left palm towards the table, its fingers up
 BESIDE_X, BESIDE_Y = -0.09, 0.03  # m, in front of the cube's middle, beside its face: where the right palm comes down
 PUSHED = 0.02  # m past the table's edge
 AWAY = (0.0, 0.05, 0.0)  # m, how the left palm moves with the cube: first aside,
