@@ -45,7 +45,8 @@ def write_markdown(takes: Sequence[Take], root: Path, page: Path) -> None:
     for take in takes:
         for camera in CAMERAS:
             name = f"{take.task.slug}_{camera}.png"
-            shutil.copyfile(root / name, folder / name)
+            if not (folder / name).exists() or not (root / name).samefile(folder / name):  # which copyfile refuses
+                shutil.copyfile(root / name, folder / name)
     page.write_text(render_page(takes, "gallery.md.j2", os.path.relpath(folder, page.parent), videos=False))
 
 

@@ -93,9 +93,9 @@ def _take(view: SceneView) -> Sequence[Waypoint]:
         Waypoint(T_world_hands=above, duration_s=1.4),
         Waypoint(T_world_hands=around, duration_s=1.3),
         Waypoint(T_world_hands=gripped, duration_s=0.8),
-        Waypoint(T_world_hands=gripped, duration_s=0.4),
+        Waypoint(T_world_hands=gripped, duration_s=0.2),
         Waypoint(T_world_hands=lifted, duration_s=2.4),
-        Waypoint(T_world_hands=lifted, duration_s=1.0),
+        Waypoint(T_world_hands=lifted, duration_s=0.2),
     ]
 
 
@@ -115,10 +115,10 @@ def _set_down(view: SceneView, T_world_hands: np.ndarray) -> Sequence[Waypoint]:
     away[:, 2, 3] += 0.16
     return [
         Waypoint(T_world_hands=over @ grip, duration_s=1.6),
-        Waypoint(T_world_hands=over @ grip, duration_s=0.6),
+        Waypoint(T_world_hands=over @ grip, duration_s=0.2),
         Waypoint(T_world_hands=level @ grip, duration_s=2.0),
-        Waypoint(T_world_hands=level @ grip, duration_s=0.6),
+        Waypoint(T_world_hands=level @ grip, duration_s=0.2),
         Waypoint(T_world_hands=level @ aside, duration_s=1.0),
         Waypoint(T_world_hands=level @ away, duration_s=1.4),
-        Waypoint(T_world_hands=level @ away, duration_s=1.2),
+        Waypoint(T_world_hands=level @ away, duration_s=0.6),
     ]
