@@ -73,6 +73,10 @@ def test_films_and_pages(take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyP
     linked = re.findall(r"\]\(([^)]+)\)", markdown.read_text())
     assert linked == ["gallery/lift_box_overview.png", "gallery/lift_box_head.png"]
     assert all((markdown.parent / link).is_file() for link in linked)
+    beside = tmp_path / "films.md"  # its folder is that of the films
+    gallery.write_markdown([short], tmp_path / "films", beside)
+    assert re.findall(r"\]\(films/([^)]+)\)", beside.read_text()) == ["lift_box_overview.png", "lift_box_head.png"]
+    assert {path.name for path in (tmp_path / "films").iterdir()} == names
 
 
 @pytest.mark.parametrize(
