@@ -17,19 +17,22 @@ from lerobot_demohlm.datasets.facts import installed_versions
 from lerobot_demohlm.evaluation.evaluate import summarize, wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.reports.films import Film, film_strip
+from lerobot_demohlm.reports.influences import influences, section
 
 SUCCESS_TEXTS = {
+    "success_strict": "held, nothing went wrong before, and the robot stood for 2 s after it",
     "success_held": "held for 1 s",
     "success_end": "true at the end",
     "success_ever": "true at some step",
 }
 
 
-def starts_plot(rollouts: Sequence[Rollout], size: int = 360) -> Figure:
+def starts_plot(rollouts: Sequence[Rollout], success: np.ndarray, size: int = 360) -> Figure:
     """Return where the robot stood at the start of each rollout and where it faced, coloured by success.
 
     Args:
         rollouts: Of one task and region.
+        success: (N,) bool.
         size: Length of the longer side [px].
     """
     robots = np.array([rollout.initial_state["robot"] for rollout in rollouts], dtype=float)  # (N, 3) x, y [m], yaw
@@ -42,8 +45,8 @@ def starts_plot(rollouts: Sequence[Rollout], size: int = 360) -> Figure:
     axes.set_xlabel("x [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
     axes.set_ylabel("y [m]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
     length = 10 * (axes.get_xlim()[1] - axes.get_xlim()[0]) / width  # [m], of 10 px
-    for (x, y, yaw), rollout in zip(robots, rollouts, strict=True):
-        colour = drawing.GOOD if rollout.success_held else drawing.BAD
+    for (x, y, yaw), rollout, succeeded in zip(robots, rollouts, success, strict=True):
+        colour = drawing.GOOD if succeeded else drawing.BAD
         ahead = (x + length * math.cos(yaw), y + length * math.sin(yaw))
         axes.plot((x, ahead[0]), (y, ahead[1]), color=colour, linewidth=1.0)
         (dot,) = axes.plot(x, y, "o", color=colour, markersize=6)
@@ -75,14 +78,20 @@ def render_report(
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True)
     template = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / "report.html.j2").read_text()
     seeds = [rollout.seed for rollout in rollouts]
+    summary = summarize(rollouts) if rollouts else {}
+    judged = next((name for name in SUCCESS_TEXTS if name in summary), "")  # older rollouts were not judged strictly
+    success = np.array([getattr(rollout, judged) for rollout in rollouts], dtype=bool)
+    found = influences([rollout.initial_state for rollout in rollouts], success)
     return environment.from_string(template).render(
         title=title,
         facts=facts,
         generated=wilson(facts["successes"], facts["attempts"]) if facts else None,
-        rollouts=summarize(rollouts) if rollouts else None,
+        rollouts=summary,
+        headline=summary.get(judged),
         policy=rollouts[0] if rollouts else None,
         seeds=(min(seeds), max(seeds)) if seeds else None,
-        starts=drawing.svg(starts_plot(rollouts)) if rollouts else "",
+        starts=drawing.svg(starts_plot(rollouts, success)) if rollouts else "",
+        influences=section(found),
         strips=[{"png": base64.b64encode(film_strip(film)).decode(), "caption": film.caption} for film in films],
         video=base64.b64encode(video.read_bytes()).decode() if video else None,
         video_caption=video_caption,

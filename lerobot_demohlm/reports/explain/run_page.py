@@ -1,4 +1,4 @@
-"""All attempts of a run, failed ones included -> one HTML page: rates over the initial region, reasons, times."""
+"""All attempts of a run, failed ones included -> one HTML page: reasons, rates, what success depended on, times."""
 
 import math
 import re
@@ -17,6 +17,7 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.generation.stages import STAGES
 from lerobot_demohlm.reports.explain.figures import BAD, GOOD, OUTCOME_COLOURS, Axis, histogram, rate_bars, rate_map
 from lerobot_demohlm.reports.explain.pages import render
+from lerobot_demohlm.reports.influences import influences, section
 
 LISTED = 60  # failed attempts, at most
 EXTREMES = 5  # shortest and longest successes
@@ -46,6 +47,7 @@ def run_page(root: Path, facts: Mapping[str, Any], records: Sequence[Mapping[str
         count=len(records),
         maps=maps(records, success, region),
         bars=bars(records, success, region),
+        influences=section(influences([record["initial_state"] for record in records], success)),
         times=times(records, success),
         stage_times=stage_times(records),
         ends=ends(records),

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,8 @@ def test_page_carries_everything(tmp_path: Path) -> None:
     assert "80.0 %" in page  # held
     assert "90.0 %" in page  # at the end, and of the attempts
     assert "49.0 %" in page  # lower end of 8 of 10
+    assert "stood for 2 s" not in page  # of a version that did not judge strictly
+    assert "too few successes or failures" in page
     assert "94.3 %" in page
     assert "ik failed" in page
     assert "61 s" in page
@@ -89,6 +92,30 @@ def test_page_carries_everything(tmp_path: Path) -> None:
     picture = re.search(r"data:image/png;base64,([^\"]+)", page)
     assert picture is not None
     assert Image.open(io.BytesIO(base64.b64decode(picture[1]))).format == "PNG"
+
+
+def test_strict_success_comes_first_where_it_was_judged() -> None:
+    judged = [replace(rollout, success_strict=rollout.seed > 4) for rollout in make_rollouts()]
+    page = render_report(title="LiftBox", rollouts=judged)
+    assert '<span class="big">50.0 %</span> of 10 rollouts succeeded' in page
+    assert "stood for 2 s" in page
+    assert "80.0 %" in page  # held
+    again = render_report(title="LiftBox", rollouts=[*judged[:-1], make_rollouts()[-1]])
+    assert '<span class="big">80.0 %</span> of 10 rollouts succeeded' in again
+
+
+def test_a_report_says_what_success_depended_on() -> None:
+    failed = replace(
+        make_rollouts()[0], success_strict=False, initial_state={"robot": [0.0, 0.0, 0.0], "object": [0.0] * 3}
+    )
+    rng = np.random.default_rng(0)
+    rollouts = []
+    for seed in range(120):
+        height = float(rng.uniform(-0.2, 0.2))
+        state = {"robot": rng.uniform(-1.0, 1.0, 3).tolist(), "object": [0.0, height, 0.0]}
+        rollouts.append(replace(failed, seed=seed, success_strict=height < 0.1, initial_state=state))
+    page = render_report(title="LiftBox", rollouts=rollouts)
+    assert re.search(r"<tr><td>object dz \[m\]</td><td[^>]*>100 % .*below 0.0001</td></tr>", page)
 
 
 def test_quickstart_refuses_before_it_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
