@@ -7,7 +7,7 @@ what to look at first.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
@@ -20,7 +20,7 @@ LEAST_EXPECTED = 5  # successes and failures a third, below which a chi-squared 
 LARGEST_P = 0.05
 MOST_LISTED = 8
 THIRDS = ("lowest third", "middle third", "highest third")
-_STARTS: Mapping[str, tuple[str, ...]] = {
+START_NAMES: Mapping[str, tuple[str, ...]] = {
     "robot": ("robot x [m]", "robot y [m]", "robot yaw [deg]"),
     "object": ("object dy [m]", "object dz [m]", "object dyaw [deg]"),
     "object_x": ("object dx [m]",),
@@ -45,7 +45,7 @@ class Influence:
     success: np.ndarray
     p: float
 
-    def range(self, third: int) -> tuple[float, float]:
+    def ends(self, third: int) -> tuple[float, float]:
         """Return the least and the largest value in a third."""
         own = self.values[self.thirds == third]
         return float(own.min()), float(own.max())
@@ -82,7 +82,7 @@ def influences(states: Sequence[Mapping[str, Sequence[float]]], success: np.ndar
         largest = max(largest, min(1.0, (len(found) - index) * entry.p))
         if largest > LARGEST_P:
             break
-        sure.append(Influence(name=entry.name, values=entry.values, thirds=entry.thirds, success=success, p=largest))
+        sure.append(replace(entry, p=largest))
     return sure
 
 
@@ -99,7 +99,7 @@ def section(found: Sequence[Influence] | None) -> Markup:
     if found is None:
         return Markup("<p>There are too few successes or failures to tell.</p>")
     if not found:
-        return Markup("<p>On no number of the initial states, as far as can be told from so many episodes.</p>")
+        return Markup("<p>These episodes do not show that success depended on any number of the initial states.</p>")
     rows = Markup("").join(_row(entry) for entry in found[:MOST_LISTED])
     table = Markup(
         '<table><tr><th>Number</th>{}<th class="number">p</th></tr>{}</table>'
@@ -113,7 +113,7 @@ def _row(entry: Influence) -> Markup:
     cells = []
     for third in range(len(THIRDS)):
         own = entry.success[entry.thirds == third]
-        low, high = entry.range(third)
+        low, high = entry.ends(third)
         cells.append(_cell(int(own.sum()), len(own), f"{low:.3g} to {high:.3g}"))
     p = "below 0.0001" if entry.p < 1e-4 else f"{entry.p:.4f}"
     return Markup('<tr><td>{}</td>{}<td class="number" style="padding-left: .6rem">{}</td></tr>').format(
@@ -155,7 +155,7 @@ def _numbers(states: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, np.nd
 
 def _names(key: str, size: int) -> tuple[str, ...]:
     if "." not in key:
-        return _STARTS.get(key, (f"{key} dx [m]", f"{key} dy [m]", f"{key} dyaw [deg]"))
+        return START_NAMES.get(key, (f"{key} dx [m]", f"{key} dy [m]", f"{key} dyaw [deg]"))
     unit = FACTORS[".".join(key.split(".")[:2])].unit
     suffix = "" if unit == "1" else f" [{unit}]"
     return tuple(f"{key}{f' {index + 1}' if size > 1 else ''}{suffix}" for index in range(size))

@@ -17,7 +17,7 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.generation.stages import STAGES
 from lerobot_demohlm.reports.explain.figures import BAD, GOOD, OUTCOME_COLOURS, Axis, histogram, rate_bars, rate_map
 from lerobot_demohlm.reports.explain.pages import render
-from lerobot_demohlm.reports.influences import influences, section
+from lerobot_demohlm.reports.influences import START_NAMES, influences, section
 
 LISTED = 60  # failed attempts, at most
 EXTREMES = 5  # shortest and longest successes
@@ -70,14 +70,8 @@ def command_line(root: Path, attempt: int) -> str:
 def axes(records: Sequence[Mapping[str, Any]], region: Region) -> dict[str, Axis]:
     """Return the six numbers of the initial states, by their names in ``Region``."""
     states = np.array([[*r["initial_state"]["robot"], *r["initial_state"]["object"]] for r in records], dtype=float)
-    named = {
-        "robot_x": "robot x [m]",
-        "robot_y": "robot y [m]",
-        "robot_yaw": "robot yaw [deg]",
-        "object_y": "object dy [m]",
-        "object_z": "object dz [m]",
-        "object_yaw": "object dyaw [deg]",
-    }
+    keys = ("robot_x", "robot_y", "robot_yaw", "object_y", "object_z", "object_yaw")
+    named = dict(zip(keys, (*START_NAMES["robot"], *START_NAMES["object"]), strict=True))
     found = {}
     for column, (key, name) in enumerate(named.items()):
         scale = 180.0 / math.pi if key.endswith("yaw") else 1.0
