@@ -165,7 +165,8 @@ VERBS = (
         name="results",
         group="reports",
         help="turn the measured results of this repository into docs/results.md and the README's table",
-        example="demohlm results --output docs/results.md --readme README.md --pages docs/perception.md",
+        example="demohlm results --output docs/results.md "
+        "--readme README.md --pages docs/perception.md docs/policies.md",
     ),
     Verb(
         name="benchmark",

@@ -8,12 +8,10 @@ from dataclasses import fields
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
-from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.datasets.variation import DataVariation
-from lerobot_demohlm.experiments import paper, robustness
+from lerobot_demohlm.experiments import paper, robustness, varied_tables
 from lerobot_demohlm.experiments.lines import (
     GenerationResult,
-    PolicyResult,
     Result,
     newest,
     read_generation,
@@ -23,21 +21,13 @@ from lerobot_demohlm.experiments.lines import (
 from lerobot_demohlm.experiments.measured_tables import MEASURED
 from lerobot_demohlm.experiments.tables import (
     EARLIER,
-    SHOWN_EPISODES,
-    TITLES,
-    VARIED,
     age,
     experiments_tables,
     generated,
-    group,
-    latest,
     markdown,
-    number,
     perception_counts,
     regions_table,
-    strict_rate,
 )
-from lerobot_demohlm.policies.presets import POLICIES
 
 CAVEATS = """\
 These numbers come from a simulation that is kinder than a laboratory. Read them with this in mind. Tables of worlds
@@ -165,57 +155,6 @@ def results_page(results: Path) -> str:
     return f"{intro}\n\n## What these numbers do not say\n\n{CAVEATS}\n{tables(results)}\n"
 
 
-def readme_table(results: Path) -> str:
-    """Return the README's table: success of generation, and of each policy in worlds that vary, and the paper's.
-
-    Args:
-        results: Folder of JSON lines.
-    """
-    wanted = (VARIED, VARIED, "exact", DEFAULT_REGION, "cpu", SHOWN_EPISODES)
-    chosen = [
-        line
-        for line in latest(read_policies(results / "experiments.jsonl"))
-        if (line.variant, line.variation, line.perception, line.region, line.preset, line.num_train_episodes) == wanted
-    ]
-    cells = group(chosen, "task", "policy")
-    attempted = {
-        (result.task, result.variation): result
-        for result in read_generation(results / "generation.jsonl")
-        if result.is_undisturbed and result.region == DEFAULT_REGION
-    }
-    rows = []
-    for task in dict.fromkeys([*paper.SUCCESS_BY_SIZE, *sorted({name for name, _ in attempted})]):
-        made, varied = attempted.get((task, "none")), attempted.get((task, VARIED))
-        row = [task, "-" if made is None else f"{100 * made.successes / made.attempts:.1f}{age(made)}"]
-        row.append(_strict(varied.strict_rate if varied else None, [varied] if varied else []))
-        for policy in POLICIES:
-            found = cells.get((task, policy), [])
-            row.append(_strict(strict_rate(found), found))
-        row += [number(paper.GENERATION.get((task, DEFAULT_REGION))), number(paper.success(task, paper.SIZES[-1]))]
-        rows.append(row)
-    attempts = " or ".join(map(str, sorted({made.attempts for made in attempted.values()}))) or "no"
-    episodes = " or ".join(map(str, sorted({result.episodes for result in chosen}))) or "no"
-    header = [
-        "task",
-        "generation",
-        f"generation, `{VARIED}`",
-        *(f"{TITLES[policy]}, `{VARIED}`" for policy in POLICIES),
-    ]
-    header += ["paper: generation", "paper: ACT, 5000 episodes"]
-    text = (
-        f"Success [%] in R3. Generation: {attempts} attempts in plain worlds, and in [`{VARIED}`](docs/variation.md) "
-        "ones, where objects, robot, surroundings and pushes differ from attempt to attempt and the robot may try "
-        f"twice more. Policies: {episodes} rollouts in `{VARIED}` worlds, after training on {SHOWN_EPISODES} episodes "
-        f"of them; a mean where several seeds were trained. In `{VARIED}` worlds success is strict."
-    )
-    return f"{text}\n\n{markdown(header, rows)}"
-
-
-def _strict(rate: float | None, lines: Sequence[GenerationResult] | Sequence[PolicyResult]) -> str:
-    """Return a rate of strict successes and whether it is of an earlier version; a dash where there is none."""
-    return "-" if rate is None else f"{100 * rate:.1f}{max(map(age, lines))}"
-
-
 def write_results(output: Path, results: Path) -> bool:
     """Write ``docs/results.md`` and return whether it changed.
 
@@ -231,8 +170,10 @@ def write_results(output: Path, results: Path) -> bool:
 
 
 MARKED: Mapping[str, Callable[[Path], str]] = {
-    "results": readme_table,
+    "results": varied_tables.readme_table,
     "perception": lambda results: perception_counts(read_policies(results / "experiments.jsonl")),
+    "widest": varied_tables.widest_table,
+    "sizes": varied_tables.sizes_table,
 }
 """The tables that stand between markers ``<!-- NAME -->`` and ``<!-- /NAME -->`` of other pages."""
 

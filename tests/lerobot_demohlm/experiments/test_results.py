@@ -9,7 +9,14 @@ import pytest
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.wbc.evaluation.contest import PROTOCOLS
-from lerobot_demohlm.experiments import controller_tables, lines, measured_tables, readme_tables
+from lerobot_demohlm.experiments import (
+    controller_tables,
+    lines,
+    measured_tables,
+    paper,
+    readme_tables,
+    varied_tables,
+)
 from lerobot_demohlm.experiments.lines import GenerationResult
 from lerobot_demohlm.experiments.variants import stamp
 from lerobot_demohlm.reproducibility.results import append_result
@@ -60,7 +67,7 @@ def test_strict_successes_stand_beside_held_ones(tmp_path: Path) -> None:
     assert "80.0 (71.1 to 86.7), strict 91.0, at the first try 78.0, in worlds that vary by real |" in text
     assert "80.0 (74.6 to 84.5), strict 60.0" in text  # of the policy
     row = "| LiftBox | 93.0 | 91.0, an earlier version | - |"
-    assert row in readme_tables.readme_table(tmp_path)
+    assert row in varied_tables.readme_table(tmp_path)
 
 
 def test_measurements_without_a_stamp_are_of_an_earlier_version(tmp_path: Path) -> None:
@@ -102,7 +109,8 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
     assert "| LiftBox | 99.8 | 93.0 | 82.0 | 90.0 | - | 91.2 | 98.8 |" in text
     assert "| StackCube | - | 93.0, an earlier version | - | - | - | - | - |" in text
     assert "| PressCube | - | - | - | - | - | 92.5 | 85.2 |" in text
-    assert text.count("\n| ") == 1 + 10 + 1
+    assert text.count("\n| ") == 1 + 10 + 1 + 1
+    assert "| mean | - | - | - | - | - | - | - |" in text, "no column has every task"
     assert "500 attempts in plain worlds" in text and "250 rollouts in `real` worlds" in text
     assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
     assert not readme_tables.update_page(readme, tmp_path)
@@ -111,6 +119,32 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=wrong):
             readme_tables.update_page(readme, tmp_path)
         assert readme.read_text() == text
+
+
+def test_a_page_may_have_tables_of_the_widest_region(tmp_path: Path) -> None:
+    cell = dataclasses.replace(CELL, num_train_episodes=1000, variant="real", variation="real", region="R4")
+    for task in paper.SUCCESS_BY_SIZE:
+        for change, successes in (
+            ({}, 150),
+            ({"train_seed": 1}, 200),
+            ({"num_train_episodes": 100}, 50),
+            ({"policy": "act"}, 225),
+            ({"policy": "diffusion", "steps": 1}, 25),
+            ({"region": "R3"}, 1),
+        ):
+            if task == "LiftBox" or change.get("policy") != "diffusion":
+                changed = dataclasses.replace(cell, task=task, **change)
+                line = make_line(changed, 240, successes_strict=successes + 25 * (task == "PourWater"))
+                lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", line)
+    page = tmp_path / "policies.md"
+    page.write_text("<!-- widest -->\n<!-- /widest -->\n<!-- sizes -->\n<!-- /sizes -->\n")
+    assert readme_tables.update_page(page, tmp_path)
+    rows = [line for line in page.read_text().splitlines() if line.startswith("| ")]
+    assert rows[0] == "| task | generation | MLP | ACT | Diffusion |" and len(rows) == 1 + 10 + 1 + 1 + 10
+    assert "| LiftBox | - | 70.0 | 90.0 | 10.0 |" in rows and "| PourWater | - | 80.0 | 100.0 | - |" in rows
+    assert "| mean | - | 71.0 | 91.0 | - |" in rows
+    assert "| task | policy | 100 episodes | 1000 episodes |" in rows
+    assert "| LiftBox | MLP | 20.0 | 70.0 |" in rows, "ACT has one size"
 
 
 def test_a_page_may_have_a_table_of_how_policies_see(tmp_path: Path) -> None:
@@ -211,7 +245,7 @@ def test_the_committed_results_are_what_is_shown(tmp_path: Path) -> None:
     page = REPOSITORY / "docs" / "results.md"
     shown = readme_tables.results_page(REPOSITORY / "results")
     assert page.read_text() == shown, "run: demohlm results --output docs/results.md"
-    for name in ("README.md", "docs/perception.md"):
+    for name in ("README.md", "docs/perception.md", "docs/policies.md"):
         copy = tmp_path / "page.md"
         copy.write_text((REPOSITORY / name).read_text())
         assert not readme_tables.update_page(copy, REPOSITORY / "results"), f"run: demohlm results --pages {name}"

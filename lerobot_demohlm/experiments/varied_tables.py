@@ -1,0 +1,141 @@
+"""Lines of results -> strict success in worlds that vary, one row a task: the README's table, and those of R4."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gym_demohlm.task import DEFAULT_REGION, WIDEST
+from lerobot_demohlm.experiments import paper
+from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult, read_generation, read_policies
+from lerobot_demohlm.experiments.tables import (
+    SHOWN_EPISODES,
+    TITLES,
+    VARIED,
+    age,
+    group,
+    latest,
+    markdown,
+    number,
+    strict_rate,
+)
+from lerobot_demohlm.policies.presets import POLICIES
+
+METHODS = ("generation", *(TITLES[policy] for policy in POLICIES))
+"""What succeeds in worlds that vary, a column each."""
+
+Cell = tuple[float | None, str]
+"""A rate in [0, 1], None where it was not measured, and what stands behind it when it is of an earlier version."""
+
+NOTHING: Cell = (None, "")
+
+
+def readme_table(results: Path) -> str:
+    """Return the README's table: success of generation, and of each policy in worlds that vary, and the paper's.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    attempted = _attempted(results, DEFAULT_REGION, "none")
+    plain = {task: (made.successes / made.attempts, age(made)) for task, made in attempted.items()}
+    varied, rollouts = _varied(results, DEFAULT_REGION)
+    rows = {
+        task: [plain.get(task, NOTHING), *varied.get(task, [NOTHING] * len(METHODS))] for task in _tasks(plain, varied)
+    }
+    theirs = {
+        task: [number(paper.GENERATION.get((task, DEFAULT_REGION))), number(paper.success(task, paper.SIZES[-1]))]
+        for task in rows
+    }
+    attempts = " or ".join(map(str, sorted({made.attempts for made in attempted.values()}))) or "no"
+    text = (
+        f"Success [%] in R3. Generation: {attempts} attempts in plain worlds, and in [`{VARIED}`](docs/variation.md) "
+        "ones, where objects, robot, surroundings and pushes differ from attempt to attempt and the robot may try "
+        f"twice more. Policies: {rollouts} rollouts in `{VARIED}` worlds, after training on {SHOWN_EPISODES} episodes "
+        f"of them; a mean where several seeds were trained. In `{VARIED}` worlds success is strict."
+    )
+    header = ["task", "generation", *(f"{name}, `{VARIED}`" for name in METHODS)]
+    header += ["paper: generation", "paper: ACT, 5000 episodes"]
+    return f"{text}\n\n{markdown(header, _with_means(rows, theirs))}"
+
+
+def widest_table(results: Path) -> str:
+    """Return strict success [%] of generation and of each policy in R4, in worlds that vary.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    rows, _ = _varied(results, WIDEST)
+    return markdown(["task", *METHODS], _with_means(rows))
+
+
+def sizes_table(results: Path) -> str:
+    """Return strict success [%] in R4, in worlds that vary, by the number of training episodes.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    scored = _scored(results, WIDEST)
+    sizes = sorted({line.num_train_episodes for line in scored})
+    rows = []
+    for (task, policy), found in group(scored, "task", "policy").items():
+        cells = group(found, "num_train_episodes")
+        if len(cells) > 1:
+            rows.append([task, TITLES[policy], *(_shown(*_cell(cells.get((size,), []))) for size in sizes)])
+    return markdown(["task", "policy", *(f"{size} episodes" for size in sizes)], rows)
+
+
+def _scored(results: Path, region: str) -> list[PolicyResult]:
+    """Return the scores of policies of worlds that vary in such worlds, by the `cpu` presets, in one region."""
+    wanted = (VARIED, VARIED, "exact", region, "cpu")
+    keys = ("variant", "variation", "perception", "region", "preset")
+    lines = latest(read_policies(results / "experiments.jsonl"))
+    return [line for line in lines if tuple(getattr(line, key) for key in keys) == wanted]
+
+
+def _attempted(results: Path, region: str, variation: str) -> dict[str, GenerationResult]:
+    """Return the last line of generation of each task in one region and one kind of worlds."""
+    lines = [line for line in read_generation(results / "generation.jsonl") if line.is_undisturbed]
+    return {line.task: line for line in lines if (line.region, line.variation) == (region, variation)}
+
+
+def _varied(results: Path, region: str) -> tuple[dict[str, list[Cell]], str]:
+    """Return strict success in worlds that vary of each task, of generation and each policy, and how many rollouts."""
+    scored = [line for line in _scored(results, region) if line.num_train_episodes == SHOWN_EPISODES]
+    attempted, cells = _attempted(results, region, VARIED), group(scored, "task", "policy")
+    found = {}
+    for task in _tasks(attempted, {task: () for task, _ in cells}):
+        made = attempted.get(task)
+        row = [_cell(cells.get((task, policy), [])) for policy in POLICIES]
+        found[task] = [NOTHING if made is None else (made.strict_rate, age(made)), *row]
+    return found, " or ".join(map(str, sorted({line.episodes for line in scored}))) or "no"
+
+
+def _cell(lines: Sequence[PolicyResult]) -> Cell:
+    """Return strict success of one cell's lines, one a training seed."""
+    return (strict_rate(lines), max(map(age, lines))) if lines else NOTHING
+
+
+def _tasks(*by_task: Mapping[str, object]) -> list[str]:
+    """Return the paper's tasks, in its order, then others."""
+    return list(dict.fromkeys([*paper.SUCCESS_BY_SIZE, *sorted({task for found in by_task for task in found})]))
+
+
+def _with_means(
+    rows: Mapping[str, Sequence[Cell]], beside: Mapping[str, Sequence[str]] | None = None
+) -> list[list[str]]:
+    """Return the cells of a table, a row a task, and the means of those columns that have every task.
+
+    Args:
+        rows: Cells by task.
+        beside: What else stands in the row of each task.
+    """
+    beside = beside or {task: () for task in rows}
+    shown = [[task, *(_shown(*cell) for cell in cells), *beside[task]] for task, cells in rows.items()]
+    means = []
+    for column in zip(*rows.values(), strict=True):
+        rates = [rate for rate, _ in column if rate is not None]
+        means.append(_shown(sum(rates) / len(rates) if len(rates) == len(column) else None, ""))
+    return [*shown, ["mean", *means, *("-" for _ in next(iter(beside.values())))]]
+
+
+def _shown(rate: float | None, aged: str) -> str:
+    """Return a rate as a percentage and whether it is of an earlier version; a dash where there is none."""
+    return "-" if rate is None else f"{100 * rate:.1f}{aged}"
