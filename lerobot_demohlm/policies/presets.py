@@ -253,14 +253,13 @@ def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTraine
     import lerobot_demohlm
 
     lerobot_demohlm.register()
-    options = dict(preset.options)
+    quick = preset.bfloat16 if device == "cpu" and has_bfloat16() else {}
+    options = {**quick, **preset.options}
     if "normalization_mapping" in options:
         modes = options["normalization_mapping"].items()
         options["normalization_mapping"] = {key: NormalizationMode[mode] for key, mode in modes}
     if preset.cosine and preset.type != "act":  # ACT's configuration knows no schedule
         options["scheduler_warmup_steps"] = warmup_steps(steps)
-    if device == "cpu" and preset.bfloat16 and has_bfloat16():
-        options |= preset.bfloat16
     return make_policy_config(preset.type, device=device, push_to_hub=False, **options)
 
 

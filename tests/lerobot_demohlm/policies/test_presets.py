@@ -81,6 +81,8 @@ def test_cpu_presets_train_in_bfloat16_where_the_processor_does(name: str, monke
         assert mlp.dtype == ("bfloat16" if expected else "float32")
         assert not mlp.use_amp  # it acts in float32
         assert act.use_amp == diffusion.use_amp == expected
+    act = get_preset("act", "cpu")
+    assert not policy_config(replace(act, options={**act.options, "use_amp": False}), 100).use_amp, "an option counts"
 
 
 def presets_of(policy: str) -> list[str]:
