@@ -101,7 +101,7 @@ def _varied(results: Path, region: str) -> tuple[dict[str, list[Cell]], str]:
     scored = [line for line in _scored(results, region) if line.num_train_episodes == SHOWN_EPISODES]
     attempted, cells = _attempted(results, region, VARIED), group(scored, "task", "policy")
     found = {}
-    for task in _tasks(attempted, {task: () for task, _ in cells}):
+    for task in _tasks(attempted, dict.fromkeys(task for task, _ in cells)):
         made = attempted.get(task)
         row = [_cell(cells.get((task, policy), [])) for policy in POLICIES]
         found[task] = [NOTHING if made is None else (made.strict_rate, age(made)), *row]
@@ -123,6 +123,8 @@ def _with_means(
 ) -> list[list[str]]:
     """Return the cells of a table, a row a task, and the means of those columns that have every task.
 
+    A mean is of an earlier version where one of its cells is.
+
     Args:
         rows: Cells by task.
         beside: What else stands in the row of each task.
@@ -131,8 +133,8 @@ def _with_means(
     shown = [[task, *(_shown(*cell) for cell in cells), *beside[task]] for task, cells in rows.items()]
     means = []
     for column in zip(*rows.values(), strict=True):
-        rates = [rate for rate, _ in column if rate is not None]
-        means.append(_shown(sum(rates) / len(rates) if len(rates) == len(column) else None, ""))
+        rates, aged = [rate for rate, _ in column if rate is not None], max(text for _, text in column)
+        means.append(_shown(sum(rates) / len(rates) if len(rates) == len(column) else None, aged))
     return [*shown, ["mean", *means, *("-" for _ in next(iter(beside.values())))]]
 
 
