@@ -19,7 +19,7 @@ from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import REGIONS, STRENGTHS
 from lerobot_demohlm.experiments.robustness import Row
-from lerobot_demohlm.experiments.tables import TITLES, age, by_region, group, mean_rate, of_the_paper, rate
+from lerobot_demohlm.experiments.tables import TITLES, age_of, by_region, group, mean_rate, of_the_paper, rate
 from lerobot_demohlm.policies.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
@@ -49,20 +49,23 @@ class Panel:
     """One small plot, its vertical axis a rate from 0 to 100 %.
 
     Attributes:
-        title: Above it; a second line after ", an" for results of an earlier version.
+        title: Above it.
+        age: Below the title, as ``tables.age_of`` says it; nothing where every result is of this version.
         ticks: (place in [0, 1], text) along the horizontal axis.
         curves: What it shows.
         bars: Whether points are bars from below rather than joined by lines.
     """
 
     title: str
+    age: str = ""
     ticks: Sequence[tuple[float, str]]
     curves: Sequence[Curve] = field(default_factory=tuple)
     bars: bool = False
 
     def draw(self, axes: Axes) -> None:
         """Draw the panel."""
-        drawing.title(axes, self.title.replace(", an earlier version", "\nan earlier version"), fontweight="bold")
+        below = self.age.removeprefix(", ")
+        drawing.title(axes, f"{self.title}\n{below}" if below else self.title, fontweight="bold")
         axes.set(xlim=(-0.04, 1.04), ylim=(0.0, 104.0), yticks=(0, 50, 100))
         axes.set_xticks([place for place, _ in self.ticks], [text for _, text in self.ticks])
         for side in ("top", "right", "left"):
@@ -127,7 +130,7 @@ def size_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | 
     if not cells:
         return None
     tasks = list(dict.fromkeys(task for task, *_ in cells))
-    ages = {line.task: age(line) for line in chosen}
+    ages = {task: age_of(found) for (task,), found in group(chosen, "task").items()}
     sizes = sorted({size for *_, size in cells} | set(paper.SIZES))
     span = math.log(sizes[-1] / sizes[0])
     places = {size: math.log(size / sizes[0]) / span for size in sizes}
@@ -150,7 +153,7 @@ def size_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | 
             found.append(Curve(name=policy, points=ours))
         return found
 
-    panels = [Panel(title=task + ages[task], ticks=ticks, curves=curves([task])) for task in tasks]
+    panels = [Panel(title=task, age=ages[task], ticks=ticks, curves=curves([task])) for task in tasks]
     if len(tasks) > 1:
         panels.append(Panel(title=f"mean of {len(tasks)} tasks", ticks=ticks, curves=curves(tasks)))
     return figure(panels, {policy: TITLES[policy] for policy in policies} | {"paper": "paper (ACT)"})
@@ -175,7 +178,8 @@ def architectures_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> 
             if (size, policy) in by_size:
                 mean, low, high = rate(by_size[size, policy])
                 curves.append(Curve(name=policy, points=[(where - 0.04, mean, low, high)]))
-        panels.append(Panel(title=f"{task}, {size} episodes{age(found[0])}", ticks=ticks, curves=curves, bars=True))
+        title = f"{task}, {size} episodes"
+        panels.append(Panel(title=title, age=age_of(found), ticks=ticks, curves=curves, bars=True))
     names = {policy: TITLES[policy] for policy in POLICIES} | {"paper": f"paper ({paper.ARCHITECTURE_SIZE})"}
     return figure(panels, names) if panels else None
 
@@ -192,7 +196,8 @@ def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
             if (task, region) in paper.GENERATION:
                 theirs.append((where, *[paper.GENERATION[task, region] / 100] * 3))
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
-        panels.append(Panel(title=task + age(found[REGIONS[0]]), ticks=ticks, curves=curves))
+        aged = age_of([found[region] for region in REGIONS])
+        panels.append(Panel(title=task, age=aged, ticks=ticks, curves=curves))
     return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else None
 
 

@@ -16,6 +16,7 @@ from lerobot_demohlm.policies.presets import POLICIES, get_preset
 
 RESAMPLES = 10_000
 EARLIER = ", an earlier version"
+PARTLY_EARLIER = ", in part an earlier version"
 VARIANT_NOTES = {
     "noise": "commands are executed with noise and recorded without",
     "starts": "wider starts of the robot",
@@ -27,6 +28,12 @@ VARIED = "real"  # the data and the worlds of the tables that are shown first
 SHOWN_EPISODES = 1000  # training episodes of the policies in them
 NUM_ROLLOUTS = 250
 TITLES = {"mlp": "MLP", "act": "ACT", "diffusion": "Diffusion"}
+
+
+Shown = tuple[str, str]
+"""The text of a cell, and what stands behind it when what it shows is of an earlier version."""
+
+NOTHING: Shown = ("-", "")
 
 
 class Stamped(Protocol):
@@ -85,24 +92,21 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
 
 
 def latest(lines: Iterable[PolicyResult], *, any_steps: bool = False) -> list[PolicyResult]:
-    """Keep the last line of each cell, of those with the stamp of the last line of their task in such worlds.
+    """Keep the last line of each training seed of each cell, of those with the stamp of the cell's last line.
 
     Args:
         lines: Of any cells.
         any_steps: Take trainings of different numbers of steps for different cells. Otherwise those of as many as the
             preset has are kept, where there are any.
     """
-    lines = list(lines)
-
-    def worlds(line: PolicyResult) -> tuple[object, ...]:
-        return line.task, line.worlds, line.region == WIDEST
-
-    stamps = {worlds(line): line.stamp for line in lines}
-    keys = ("task", "policy", "preset", "num_train_episodes", "train_seed", "region", "variant")
-    keys += ("variation", "perception", *(["steps"] if any_steps else []))
-    current = [line for line in lines if line.stamp == stamps[worlds(line)]]
-    current.sort(key=lambda line: not _steps(line))
-    return list({tuple(getattr(line, key) for key in keys): line for line in current}.values())
+    keys = ("task", "policy", "preset", "num_train_episodes", "region", "variant", "variation", "perception")
+    keys += ("steps",) if any_steps else ()
+    kept = []
+    for found in group(lines, *keys).values():
+        current = [line for line in found if line.stamp == found[-1].stamp]
+        current.sort(key=lambda line: not _steps(line))
+        kept += {line.train_seed: line for line in current}.values()
+    return kept
 
 
 def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
@@ -113,6 +117,12 @@ def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
 def age(line: Stamped) -> str:
     """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
     return "" if line.stamp == line.stamp_now else EARLIER
+
+
+def age_of(lines: Sequence[Stamped]) -> str:
+    """Return what stands behind what several results are shown in, by how many of them are of an earlier version."""
+    aged = [age(line) for line in lines]
+    return max(aged) if len(set(aged)) == 1 else PARTLY_EARLIER
 
 
 def group(lines: Iterable[PolicyResult], *keys: str) -> dict[tuple[Any, ...], list[PolicyResult]]:
@@ -177,37 +187,39 @@ def main_table(lines: Iterable[PolicyResult]) -> str:
     cells = group(current, "task", "num_train_episodes", "policy", "preset")
     if not cells:
         return ""
-    tasks = _labels(current)
     sizes = sorted({size for _, size, *_ in cells})
     methods = {size: _methods(cells, size) for size in sizes}
-    header, rows = ["task"], {task: [label] for task, label in tasks.items()}
-    for size in sizes:
-        header += [f"{size}: {method_title(*method)}" for method in methods[size]] + [f"paper {size}"]
-        for task in tasks:
-            rows[task] += [percent(cells.get((task, size, *method))) for method in methods[size]]
-            rows[task].append(number(paper.success(task, size)))
-    for size in sorted({paper.SIZES[-1]} - set(sizes)):
-        header.append(f"paper {size}")
-        for task in tasks:
-            rows[task].append(number(paper.success(task, size)))
+    shown = [*sizes, *({paper.SIZES[-1]} - set(sizes))]
+    header = ["task"]
+    for size in shown:
+        header += [f"{size}: {method_title(*method)}" for method in methods.get(size, ())] + [f"paper {size}"]
+    rows = []
+    for task in dict.fromkeys(task for task, *_ in cells):
+        ours = [_cell(cells.get((task, size, *method))) for size in sizes for method in methods[size]]
+        label, *texts = _marked(task, ours)
+        row = [label]
+        for size in shown:
+            count = len(methods.get(size, ()))
+            row += [*texts[:count], number(paper.success(task, size))]
+            texts = texts[count:]
+        rows.append(row)
     title = "**Success by number of training episodes** [%], R3, last checkpoint, starts never used in generation"
     return f"{title}; success held for 1 s (the paper's need not be held; its policy is ACT)\n\n" + markdown(
-        header, rows.values()
+        header, rows
     )
 
 
 def architectures_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by policy, for tasks and sizes with more than one of them."""
     current = of_the_paper(lines)
-    cells, tasks = group(current, "task", "num_train_episodes", "preset", "policy"), _labels(current)
+    cells = group(current, "task", "num_train_episodes", "preset", "policy")
     rows = []
     for task, size, preset in dict.fromkeys(key[:3] for key in cells):
         ours = [cells.get((task, size, preset, policy)) for policy in POLICIES]
         if sum(found is not None for found in ours) > 1:
             theirs = paper.SUCCESS_BY_ARCHITECTURE.get(task, {})
-            rows.append(
-                [tasks[task], str(size), preset, *map(percent, ours), *(number(theirs.get(p)) for p in POLICIES)]
-            )
+            label, *texts = _marked(task, [_cell(found) for found in ours])
+            rows.append([label, str(size), preset, *texts, *(number(theirs.get(policy)) for policy in POLICIES)])
     if not rows:
         return ""
     names = [TITLES[policy] for policy in POLICIES]
@@ -217,13 +229,9 @@ def architectures_table(lines: Iterable[PolicyResult]) -> str:
 
 
 def by_region(lines: Iterable[GenerationResult], variation: str = "none") -> dict[str, dict[str, GenerationResult]]:
-    """Return the last line of each region in order, of those that are of the same version, by task.
-
-    R4 has a version of its own. In plain worlds these are the tasks with all three of the paper's regions.
-    """
+    """Return the last line of each region in order, by task; in plain worlds of tasks with all three of the paper's."""
     own = [line for line in lines if line.is_undisturbed and line.variation == variation]
-    stamps = {(line.task, line.region == WIDEST): line.stamp for line in own}
-    last = {(line.task, line.region): line for line in own if line.stamp == stamps[line.task, line.region == WIDEST]}
+    last = {(line.task, line.region): line for line in own}
     found = {}
     for task in sorted({task for task, _ in last}):
         regions = {region: last[task, region] for region in (*REGIONS, WIDEST) if (task, region) in last}
@@ -241,12 +249,8 @@ def regions_table(lines: Sequence[GenerationResult]) -> str:
         theirs = REGIONS if variation == "none" else ()
         rows = []
         for task, regions in found.items():
-            aged = age(next(iter(regions.values())))
-            row = [task + aged]
-            for region in shown:
-                line = regions.get(region)
-                row.append("-" if line is None else generated(line) + ("" if age(line) == aged else age(line)))
-            rows.append([*row, *(number(paper.GENERATION.get((task, region))) for region in theirs)])
+            ours = [(generated(regions[name]), age(regions[name])) if name in regions else NOTHING for name in shown]
+            rows.append([*_marked(task, ours), *(number(paper.GENERATION.get((task, name))) for name in theirs)])
         if rows:
             worlds = "" if variation == "none" else f" in worlds that vary by `{variation}`"
             header = ["task", *shown, *(f"paper: {region}" for region in theirs)]
@@ -258,7 +262,6 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
     """Return success by the way the training data was generated, for what was trained on more than one."""
     lines = [line for line in latest(lines) if line.is_plain]
     cells = group(lines, "task", "policy", "preset", "num_train_episodes", "region", "variant")
-    tasks = _labels(lines)
     names = [name for name in VARIANTS if any(line.variant == name for line in lines)]
     rows = []
     for key in dict.fromkeys(key[:-1] for key in cells):
@@ -267,7 +270,8 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
             task, policy, preset, size, region = key
             shares = [found[0].data_success_rate if found else None for found in ours]
             generated = [number(None if share is None else 100 * share) for share in shares]
-            rows.append([tasks[task], region, method_title(policy, preset), str(size), *map(percent, ours), *generated])
+            label, *texts = _marked(task, [_cell(found) for found in ours])
+            rows.append([label, region, method_title(policy, preset), str(size), *texts, *generated])
     if not rows:
         return ""
     header = ["task", "region", "policy", "episodes", *names, *(f"generation: {name}" for name in names)]
@@ -315,7 +319,11 @@ def perception_counts(lines: Iterable[PolicyResult]) -> str:
         cells = {name: [line for line in found if line.perception == name] for name in PERCEPTIONS}
         if sum(map(bool, cells.values())) > 1:
             rows.append(
-                [task, method_title(policy, "cpu", device), *(_aged(_strict_count, cell) for cell in cells.values())]
+                [
+                    task,
+                    method_title(policy, "cpu", device),
+                    *("".join(_cell(cell, _strict_count)) for cell in cells.values()),
+                ]
             )
     return markdown(["task", "policy", *(f"`{name}`" for name in PERCEPTIONS)], rows)
 
@@ -326,9 +334,16 @@ def _strict_count(lines: Sequence[PolicyResult]) -> str:
     return "-" if count is None else f"{count}" + ("" if episodes == NUM_ROLLOUTS else f" of {episodes}")
 
 
-def _aged(show: Callable[[Sequence[PolicyResult]], str], lines: Sequence[PolicyResult]) -> str:
-    """Return what is shown of a cell, and whether it is of an earlier version; a dash where there is nothing."""
-    return show(lines) + max(map(age, lines)) if lines else "-"
+def _cell(lines: Sequence[PolicyResult] | None, show: Callable[[Sequence[PolicyResult]], str] = percent) -> Shown:
+    """Return what is shown of a cell's lines, and what of their age."""
+    return (show(lines), age_of(lines)) if lines else NOTHING
+
+
+def _marked(label: str, cells: Sequence[Shown]) -> list[str]:
+    """Return a row: its label and its cells; the label says it where all of them are of an earlier version."""
+    ages = {aged for text, aged in cells if text != "-"}
+    common = ages.pop() if len(ages) == 1 else ""
+    return [label + common, *(text + ("" if aged == common else aged) for text, aged in cells)]
 
 
 def _compared(
@@ -348,7 +363,7 @@ def _compared(
         if any(cells[name] for name in wanted):
             task, policy, preset, _, device, size, variant, *region = key
             named = [task, *region, method_title(policy, preset, device) + _steps(found[0]), str(size), variant]
-            rows.append([*named, *(_aged(percent, cells[name]) for name in columns)])
+            rows.append([*named, *("".join(_cell(cells[name])) for name in columns)])
     if not rows:
         return ""
     header = ["task", *(["region"] if first else []), "policy", "episodes", "data", *columns]
@@ -379,11 +394,6 @@ def experiments_tables(lines: Sequence[PolicyResult]) -> str:
     parts = [main_table(line for line in lines if line.region == DEFAULT_REGION), architectures_table(lines)]
     parts += [worlds_table(lines), perception_table(lines), variants_table(lines), cost_table(lines)]
     return "\n\n".join(part for part in parts if part)
-
-
-def _labels(lines: Iterable[PolicyResult]) -> dict[str, str]:
-    """Return the tasks of lines, sorted, and what a table calls each."""
-    return {line.task: line.task + age(line) for line in sorted(lines, key=lambda line: line.task)}
 
 
 def _methods(cells: Iterable[tuple[Any, ...]], size: int) -> list[tuple[str, str]]:

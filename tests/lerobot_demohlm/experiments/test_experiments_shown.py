@@ -84,7 +84,8 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert "| Handover, an earlier version |" in tables.regions_table(aged)
     drawn = plots.regions_figure(aged)
     assert drawn is not None and drawn.axes[0].get_title("left") == "Handover\nan earlier version"
-    assert tables.regions_table([*aged, generated[-1]]) == "", "one region is of this version, the others are not"
+    row = tables.regions_table([*aged, generated[-1]]).splitlines()[-1]
+    assert row.startswith("| Handover | ") and row.count("earlier") == 2, "one region is of this version, two are not"
     assert text.count("demohlm reproduce --table main") == 1
     assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
 
@@ -186,7 +187,25 @@ def test_trainings_of_other_steps_have_rows_of_their_own_or_stand_in() -> None:
     assert rows[5].startswith("| LiftBox | MLP, 24000 steps | 100 | real | 80.0 ")
     assert tables.latest([usual, longer]) == tables.latest([longer, usual]) == [usual]
     assert tables.latest([longer]) == [longer]
-    assert tables.latest([usual, longer], any_steps=True) == [longer, usual]
+    assert tables.latest([usual, longer], any_steps=True) == [usual, longer]
+
+
+def test_each_cell_says_of_which_version_it_is() -> None:
+    old = [
+        make_line(dataclasses.replace(CELL, policy=policy, train_seed=seed), 200, stamp="before")
+        for policy in ("mlp", "act")
+        for seed in (0, 1)
+    ]
+    rows = tables.main_table(old).splitlines()
+    assert rows[4].startswith("| LiftBox, an earlier version | 80.0 ") and rows[4].count("earlier") == 1
+    mixed = [*old, make_line(successes=250)]
+    assert len(tables.latest(mixed)) == 3, "a cell is of one version, its last line's"
+    for row in (tables.main_table(mixed).splitlines()[4], tables.architectures_table(mixed).splitlines()[4]):
+        assert row.startswith("| LiftBox | ") and " 100.0 (98.5 to 100.0) | 80.0 (" in row
+        assert row.count("2 seeds, an earlier version |") == row.count("earlier") == 1
+    drawn = [plots.size_figure(shown) for shown in (old, mixed, mixed[-1:])]
+    titles = [figure.axes[0].get_title("left") for figure in drawn if figure]
+    assert titles == ["LiftBox\nan earlier version", "LiftBox\nin part an earlier version", "LiftBox"]
 
 
 def test_scores_under_each_group_become_rows(tmp_path: Path) -> None:
