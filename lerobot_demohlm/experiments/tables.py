@@ -204,9 +204,8 @@ def main_table(lines: Iterable[PolicyResult]) -> str:
             texts = texts[count:]
         rows.append(row)
     title = "**Success by number of training episodes** [%], R3, last checkpoint, starts never used in generation"
-    return f"{title}; success held for 1 s (the paper's need not be held; its policy is ACT)\n\n" + markdown(
-        header, rows
-    )
+    title += "; success held for 1 s (the paper's need not be held; its policy is ACT)"
+    return f"{title}\n\n{markdown(header, rows)}"
 
 
 def architectures_table(lines: Iterable[PolicyResult]) -> str:
@@ -318,13 +317,8 @@ def perception_counts(lines: Iterable[PolicyResult]) -> str:
     for (task, policy, device), found in group(chosen, "task", "policy", "train_device").items():
         cells = {name: [line for line in found if line.perception == name] for name in PERCEPTIONS}
         if sum(map(bool, cells.values())) > 1:
-            rows.append(
-                [
-                    task,
-                    method_title(policy, "cpu", device),
-                    *("".join(_cell(cell, _strict_count)) for cell in cells.values()),
-                ]
-            )
+            counts = ["".join(_cell(cell, _strict_count)) for cell in cells.values()]
+            rows.append([task, method_title(policy, "cpu", device), *counts])
     return markdown(["task", "policy", *(f"`{name}`" for name in PERCEPTIONS)], rows)
 
 
