@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lerobot_demohlm.experiments.lines import Measurement
-from lerobot_demohlm.experiments.tables import markdown
+from lerobot_demohlm.experiments.rates import markdown
 
 FIRST = "8ac4c8cd0008"
 """The controller of lines from before they named one."""

@@ -6,7 +6,7 @@ from lerobot_demohlm.experiments.controller_tables import followed, pairs, robus
 from lerobot_demohlm.experiments.lines import Measurement, newest
 from lerobot_demohlm.experiments.perception_tables import curves_table, fit_table, tracking_table
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
-from lerobot_demohlm.experiments.tables import EARLIER, markdown
+from lerobot_demohlm.experiments.rates import EARLIER, markdown
 from lerobot_demohlm.experiments.variants import stamp
 
 SHARES = {

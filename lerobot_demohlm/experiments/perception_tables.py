@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from lerobot_demohlm.experiments.lines import Measurement, newest
-from lerobot_demohlm.experiments.tables import markdown
+from lerobot_demohlm.experiments.rates import markdown
 
 
 def tracking_table(lines: Sequence[Measurement]) -> str:

@@ -18,8 +18,9 @@ from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import REGIONS, STRENGTHS
+from lerobot_demohlm.experiments.rates import TITLES, age_of, group, mean_rate, of_the_paper, rate
 from lerobot_demohlm.experiments.robustness import Row
-from lerobot_demohlm.experiments.tables import TITLES, age_of, by_region, group, mean_rate, of_the_paper, rate
+from lerobot_demohlm.experiments.tables import by_region
 from lerobot_demohlm.policies.presets import POLICIES
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
@@ -50,7 +51,7 @@ class Panel:
 
     Attributes:
         title: Above it.
-        age: Below the title, as ``tables.age_of`` says it; nothing where every result is of this version.
+        age: Below the title, as ``rates.age_of`` says it; nothing where every result is of this version.
         ticks: (place in [0, 1], text) along the horizontal axis.
         curves: What it shows.
         bars: Whether points are bars from below rather than joined by lines.

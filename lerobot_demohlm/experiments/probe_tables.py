@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.experiments.lines import Measurement
-from lerobot_demohlm.experiments.tables import markdown
+from lerobot_demohlm.experiments.rates import markdown
 from lerobot_demohlm.experiments.variants import stamp
 
 _Side = tuple[str, Sequence[str]]  # what lines have as a row's or a column's name, and the names in their order

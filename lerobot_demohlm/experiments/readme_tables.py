@@ -19,15 +19,8 @@ from lerobot_demohlm.experiments.lines import (
     read_policies,
 )
 from lerobot_demohlm.experiments.measured_tables import MEASURED
-from lerobot_demohlm.experiments.tables import (
-    EARLIER,
-    age,
-    experiments_tables,
-    generated,
-    markdown,
-    perception_counts,
-    regions_table,
-)
+from lerobot_demohlm.experiments.rates import EARLIER, age, generated, markdown
+from lerobot_demohlm.experiments.tables import experiments_tables, perception_counts, regions_table
 
 CAVEATS = """\
 These numbers come from a simulation that is kinder than a laboratory. Read them with this in mind. Tables of worlds

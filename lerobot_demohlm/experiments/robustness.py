@@ -9,8 +9,8 @@ from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import GRADED, STRENGTHS, graded
+from lerobot_demohlm.experiments.rates import age, latest, markdown, method_title
 from lerobot_demohlm.experiments.success_curves import Panel, Point, draw_panels
-from lerobot_demohlm.experiments.tables import age, latest, markdown, method_title
 
 SUCCESS = "success_strict"
 

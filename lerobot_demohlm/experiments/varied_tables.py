@@ -6,17 +6,8 @@ from pathlib import Path
 from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult, read_generation, read_policies
-from lerobot_demohlm.experiments.tables import (
-    SHOWN_EPISODES,
-    TITLES,
-    VARIED,
-    age,
-    group,
-    latest,
-    markdown,
-    number,
-    strict_rate,
-)
+from lerobot_demohlm.experiments.rates import EARLIER, TITLES, age, group, latest, markdown, number, strict_rate
+from lerobot_demohlm.experiments.tables import SHOWN_EPISODES, VARIED
 from lerobot_demohlm.policies.presets import POLICIES
 
 METHODS = ("generation", *(TITLES[policy] for policy in POLICIES))
@@ -53,7 +44,10 @@ def readme_table(results: Path) -> str:
     )
     header = ["task", "generation", *(f"{name}, `{VARIED}`" for name in METHODS)]
     header += ["paper: generation", "paper: ACT, 5000 episodes"]
-    return f"{text}\n\n{markdown(header, _with_means(rows, theirs))}"
+    table = markdown(header, _with_means(rows, theirs))
+    if EARLIER in table:
+        text += " An earlier version is one from before the task's demonstration, or what generates from it, changed."
+    return f"{text}\n\n{table}"
 
 
 def widest_table(results: Path) -> str:

@@ -27,8 +27,8 @@ from lerobot_demohlm.experiments import lines, plots, readme_tables
 from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import Cell
+from lerobot_demohlm.experiments.rates import latest, method_title
 from lerobot_demohlm.experiments.robustness import scored
-from lerobot_demohlm.experiments.tables import latest, method_title
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports.films import policy_take, write_take

@@ -16,7 +16,7 @@ from lerobot_demohlm.evaluation import leaderboard
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
 from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, read, sign
 from lerobot_demohlm.evaluation.scoring import first_seed
-from lerobot_demohlm.experiments.tables import number
+from lerobot_demohlm.experiments.rates import number
 from tests.helpers.checkpoints import save_policy
 from tests.helpers.paths import REPOSITORY
 

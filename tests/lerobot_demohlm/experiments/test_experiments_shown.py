@@ -14,8 +14,9 @@ from gym_demohlm import jsonl
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm import cli, drawing
+from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.experiments import lines, paper, plots, readme_tables, robustness, tables
+from lerobot_demohlm.experiments import lines, paper, plots, rates, readme_tables, robustness, tables
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import STRENGTHS, graded, plan
 from lerobot_demohlm.experiments.robustness import Row
@@ -28,18 +29,18 @@ from tests.helpers.experiment_lines import CELL, layout, make_line
 
 def test_rates() -> None:
     one = make_line(successes=200)
-    assert tables.rate([one]) == (0.8, *tables.wilson(200, 250))
-    mean, low, high = tables.rate([one, make_line(successes=250)])
+    assert rates.rate([one]) == (0.8, *wilson(200, 250))
+    mean, low, high = rates.rate([one, make_line(successes=250)])
     assert mean == 0.9
     assert 0.77 < low < 0.82  # two trainings that differ: the interval spans them
     assert 0.99 < high <= 1.0
-    assert tables.rate([one, one]) == pytest.approx(tables.rate([one]), abs=0.03)
-    mean, low, high = tables.rate([make_line(successes=0)] * 3)
+    assert rates.rate([one, one]) == pytest.approx(rates.rate([one]), abs=0.03)
+    mean, low, high = rates.rate([make_line(successes=0)] * 3)
     assert mean == low == 0.0
     assert 0.001 < high < 0.01
-    mean, low, high = tables.mean_rate([[make_line(successes=200)]] * 10)
+    mean, low, high = rates.mean_rate([[make_line(successes=200)]] * 10)
     assert mean == 0.8
-    assert (low, high) == pytest.approx(tables.wilson(2000, 2500), abs=0.003)  # narrower than one task's
+    assert (low, high) == pytest.approx(wilson(2000, 2500), abs=0.003)  # narrower than one task's
 
 
 def lines_of_all() -> list[PolicyResult]:
@@ -185,9 +186,9 @@ def test_trainings_of_other_steps_have_rows_of_their_own_or_stand_in() -> None:
     rows = tables.worlds_table([usual, longer]).splitlines()
     assert rows[4].startswith("| LiftBox | MLP | 100 | real | 40.0 ")
     assert rows[5].startswith("| LiftBox | MLP, 24000 steps | 100 | real | 80.0 ")
-    assert tables.latest([usual, longer]) == tables.latest([longer, usual]) == [usual]
-    assert tables.latest([longer]) == [longer]
-    assert tables.latest([usual, longer], any_steps=True) == [usual, longer]
+    assert rates.latest([usual, longer]) == rates.latest([longer, usual]) == [usual]
+    assert rates.latest([longer]) == [longer]
+    assert rates.latest([usual, longer], any_steps=True) == [usual, longer]
 
 
 def test_each_cell_says_of_which_version_it_is() -> None:
@@ -199,7 +200,7 @@ def test_each_cell_says_of_which_version_it_is() -> None:
     rows = tables.main_table(old).splitlines()
     assert rows[4].startswith("| LiftBox, an earlier version | 80.0 ") and rows[4].count("earlier") == 1
     mixed = [*old, make_line(successes=250)]
-    assert len(tables.latest(mixed)) == 3, "a cell is of one version, its last line's"
+    assert len(rates.latest(mixed)) == 3, "a cell is of one version, its last line's"
     for row in (tables.main_table(mixed).splitlines()[4], tables.architectures_table(mixed).splitlines()[4]):
         assert row.startswith("| LiftBox | ") and " 100.0 (98.5 to 100.0) | 80.0 (" in row
         assert row.count("2 seeds, an earlier version |") == row.count("earlier") == 1
@@ -265,12 +266,12 @@ def test_paper_has_every_task() -> None:
     assert paper.SUCCESS_BY_SIZE.keys() == paper.SUCCESS_BY_ARCHITECTURE.keys()
     assert {task for task, region in paper.GENERATION if region == "R3"} == paper.SUCCESS_BY_SIZE.keys()
     assert paper.SUCCESS_BY_SIZE.keys() <= all_tasks().keys()
-    for task, rates in paper.SUCCESS_BY_SIZE.items():
-        assert list(rates) == sorted(rates), task  # the paper's claim
-        assert rates[-1] == paper.SUCCESS_BY_ARCHITECTURE[task]["act"]
+    for task, shares in paper.SUCCESS_BY_SIZE.items():
+        assert list(shares) == sorted(shares), task  # the paper's claim
+        assert shares[-1] == paper.SUCCESS_BY_ARCHITECTURE[task]["act"]
     assert paper.success("LiftBox", 1000) == 98.6
     assert paper.success("LiftBox", 1001) is None
-    assert [tables.number(value) for value in (13.35, 89.25, 86.41, 100.0, None)] == [
+    assert [rates.number(value) for value in (13.35, 89.25, 86.41, 100.0, None)] == [
         "13.4",
         "89.3",
         "86.4",
@@ -286,9 +287,9 @@ def test_figures_have_a_point_a_number() -> None:
     heights = points(drawn)
     assert len(heights) == 3 * (5 + 2 + 1)  # two tasks and their mean: the paper, MLP at two sizes, ACT at one
     assert {44.0, 80.0, 90.0} <= {round(height, 2) for height in heights}  # 44 is the mean of two seeds
-    low, high = tables.wilson(200, 250)
+    low, high = wilson(200, 250)
     assert round(100 * (high - low), 2) in whiskers(drawn)
-    _, low, high = tables.mean_rate([[make_line(successes=200)]] * 2)
+    _, low, high = rates.mean_rate([[make_line(successes=200)]] * 2)
     assert round(100 * (high - low), 2) in whiskers(drawn)
     barred = plots.architectures_figure(own)
     assert barred is not None

@@ -108,6 +108,7 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
     text = readme.read_text()
     assert "| LiftBox | 99.8 | 93.0 | 82.0 | 90.0 | - | 91.2 | 98.8 |" in text
     assert "| StackCube | - | 93.0, an earlier version | - | - | - | - | - |" in text
+    assert text.count("An earlier version is one from before") == 1, "what a cell says is explained where one says it"
     assert "| PressCube | - | - | - | - | - | 92.5 | 85.2 |" in text
     assert text.count("\n| ") == 1 + 10 + 1 + 1
     assert "| mean | - | - | - | - | - | - | - |" in text, "no column has every task"
