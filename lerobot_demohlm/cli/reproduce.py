@@ -12,7 +12,8 @@ from gym_demohlm.errors import DatasetError, DemoHLMError
 from lerobot_demohlm.cli.choices import Policy, Preset, Table, Variant
 from lerobot_demohlm.cli.parsing import default, spelled
 
-_UNSAID = ("num_workers", "budget_hours", "root", "results", "dry_run")  # of no concern to what comes out
+# Options of no concern to what comes out.
+_UNSAID = ("num_workers", "data_workers", "budget_hours", "root", "results", "dry_run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,7 @@ class Options:
         steps: Training steps.
         device: Where policies are trained and act, such as "cuda".
         num_workers: Cells of the table that are run at a time.
+        data_workers: Processes that make the data of a cell, or its attempts.
         budget_hours: Begin nothing after this many hours.
         root: Directory of data, policies and rollouts.
         results: Folder of JSON lines.
@@ -57,6 +59,7 @@ class Options:
     steps: Annotated[int | None, default("the preset's")] = None
     device: str = "cpu"
     num_workers: int = 1
+    data_workers: int = 1
     budget_hours: Annotated[float, default("no end")] = math.inf
     root: Path = Path("outputs/experiments")
     results: Path = Path("results")
@@ -76,7 +79,7 @@ def run(options: Options) -> None:
     from lerobot_demohlm.experiments.plan import plan
     from lerobot_demohlm.experiments.reproduce import describe, missing, reproduce
 
-    for name in ("num_rollouts", "num_attempts", "num_workers", "budget_hours"):
+    for name in ("num_rollouts", "num_attempts", "num_workers", "data_workers", "budget_hours"):
         if not getattr(options, name) > 0:
             raise DatasetError(f"{name}={getattr(options, name)}", "more than 0", f"correct --{name.replace('_', '-')}")
     layout = Layout(root=options.root, results=options.results)
@@ -98,7 +101,12 @@ def run(options: Options) -> None:
         for cell in missing(cells, layout, **counts):
             print(describe(cell))
         return
-    effort = Effort(**counts, device=options.device, deadline=time.monotonic() + 3600 * options.budget_hours)
+    effort = Effort(
+        **counts,
+        data_workers=options.data_workers,
+        device=options.device,
+        deadline=time.monotonic() + 3600 * options.budget_hours,
+    )
     done, failures = reproduce(
         cells,
         layout,

@@ -39,12 +39,14 @@ class Effort:
     Attributes:
         num_rollouts: Rollouts of a policy.
         num_attempts: Attempts of generation in a region.
+        data_workers: Processes that make a cell's data, or its attempts.
         device: Where policies are trained and act.
         deadline: Begin nothing after this time (``time.monotonic``) [s].
     """
 
     num_rollouts: int = 250
     num_attempts: int = 500
+    data_workers: int = 1
     device: str = "cpu"
     deadline: float = math.inf
 
@@ -104,7 +106,7 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationR
         if effort.is_over:
             return None
         worlds = replace(VARIANTS[PLAIN], variation=cell.variation)
-        generate(replace(_request(cell, root), num_attempts=count, variation=worlds))
+        generate(replace(_request(cell, root, effort), num_attempts=count, variation=worlds))
         records = read_attempts(root)
     lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
     return GenerationResult(
@@ -115,10 +117,17 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationR
     )
 
 
-def _request(cell: Cell | RegionCell, root: Path) -> GenerationRequest:
+def _request(cell: Cell | RegionCell, root: Path, effort: Effort) -> GenerationRequest:
     """Return the request for a cell's dataset, without its size; a larger one begins with the same attempts."""
     seed = cell.seed if isinstance(cell, RegionCell) else DATA_SEED
-    return GenerationRequest(task=cell.task, region=cell.region, seed=seed, root=root, show_progress=False)
+    return GenerationRequest(
+        task=cell.task,
+        region=cell.region,
+        seed=seed,
+        root=root,
+        num_workers=effort.data_workers,
+        show_progress=False,
+    )
 
 
 def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | None:
@@ -170,7 +179,7 @@ def _trained(cell: Cell, layout: Layout, effort: Effort) -> bool:
     if not dataset.exists():
         if effort.is_over:
             return False
-        request = _request(cell, dataset)
+        request = _request(cell, dataset, effort)
         cameras = CAMERAS if cell.sees else None
         count, variation = cell.num_train_episodes, VARIANTS[cell.variant]
         generate(replace(request, num_episodes=count, variation=variation, cameras=cameras))

@@ -20,6 +20,7 @@ from lerobot_demohlm import cli
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.facts import write_facts
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.experiments import cells as cells_module
 from lerobot_demohlm.experiments import lines
 from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.cells import _alone as run_alone
@@ -28,6 +29,7 @@ from lerobot_demohlm.experiments.plan import PERCEPTIONS, STRENGTHS, Cell, Regio
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, sight_stamp, stamp
 from lerobot_demohlm.generation.attempt import initial_state
+from lerobot_demohlm.generation.request import GenerationRequest
 from tests.helpers.experiment_lines import CELL, layout, make_line
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -137,6 +139,24 @@ def test_a_region_whose_line_was_never_written_is_not_made_again(tmp_path: Path)
     assert (line.attempts, line.successes, line.outcomes["fell"]) == (4, 3, 1)
     assert line.episode_s == pytest.approx(1.2)
     assert run_cell(cell, own, Effort(num_attempts=5, deadline=0.0)) is None, "there are not so many, and no time"
+
+
+def test_data_and_attempts_are_made_by_as_many_processes_as_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[GenerationRequest] = []
+
+    def note(request: GenerationRequest) -> None:
+        asked.append(request)
+        raise DatasetError("no success", "some", "try again")
+
+    monkeypatch.setattr(cells_module, "generate", note)
+    for cell in (CELL, RegionCell(task="LiftBox", region="R2")):
+        for effort in (Effort(), Effort(data_workers=3)):
+            with pytest.raises(DatasetError, match="no success"):
+                run_cell(cell, layout(tmp_path), effort)
+    assert [request.num_workers for request in asked] == [1, 3, 1, 3]
+    assert asked[0] == dataclasses.replace(asked[1], num_workers=1), "nothing else differs"
 
 
 def test_starts_are_kept_for_scoring_and_no_two_cells_share_them() -> None:

@@ -48,7 +48,7 @@ def test_a_curve_has_one_colour_in_all_panels(tmp_path: Path, monkeypatch: pytes
 
     def spy(self: Axes, *args: Any, **options: Any) -> Any:
         (line,) = plot(self, *args, **options)
-        colours.setdefault(options["label"], set()).add(line.get_color())
+        colours.setdefault(options["label"], set()).add(str(line.get_color()))
         return [line]
 
     monkeypatch.setattr(Axes, "plot", spy)
