@@ -6,7 +6,17 @@ from pathlib import Path
 from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult, read_generation, read_policies
-from lerobot_demohlm.experiments.rates import EARLIER, TITLES, age, group, latest, markdown, number, strict_rate
+from lerobot_demohlm.experiments.rates import (
+    EARLIER,
+    TITLES,
+    age,
+    group,
+    latest,
+    markdown,
+    number,
+    steps_title,
+    strict_rate,
+)
 from lerobot_demohlm.experiments.tables import SHOWN_EPISODES, VARIED
 from lerobot_demohlm.policies.presets import POLICIES
 
@@ -63,24 +73,27 @@ def widest_table(results: Path) -> str:
 def sizes_table(results: Path) -> str:
     """Return strict success [%] in R4, in worlds that vary, by the number of training episodes.
 
+    Trainings of other numbers of steps than the preset's have rows of their own.
+
     Args:
         results: Folder of JSON lines.
     """
-    scored = _scored(results, WIDEST)
+    scored = _scored(results, WIDEST, any_steps=True)
     sizes = sorted({line.num_train_episodes for line in scored})
     rows = []
-    for (task, policy), found in group(scored, "task", "policy").items():
+    for (task, policy, _), found in group(scored, "task", "policy", "steps").items():
         cells = group(found, "num_train_episodes")
         if len(cells) > 1:
-            rows.append([task, TITLES[policy], *(_shown(*_cell(cells.get((size,), []))) for size in sizes)])
+            method = TITLES[policy] + steps_title(found[0])
+            rows.append([task, method, *(_shown(*_cell(cells.get((size,), []))) for size in sizes)])
     return markdown(["task", "policy", *(f"{size} episodes" for size in sizes)], rows)
 
 
-def _scored(results: Path, region: str) -> list[PolicyResult]:
+def _scored(results: Path, region: str, *, any_steps: bool = False) -> list[PolicyResult]:
     """Return the scores of policies of worlds that vary in such worlds, by the `cpu` presets, in one region."""
     wanted = (VARIED, VARIED, "exact", region, "cpu")
     keys = ("variant", "variation", "perception", "region", "preset")
-    lines = latest(read_policies(results / "experiments.jsonl"))
+    lines = latest(read_policies(results / "experiments.jsonl"), any_steps=any_steps)
     return [line for line in lines if tuple(getattr(line, key) for key in keys) == wanted]
 
 

@@ -129,6 +129,8 @@ def test_a_page_may_have_tables_of_the_widest_region(tmp_path: Path) -> None:
             ({}, 150),
             ({"train_seed": 1}, 200),
             ({"num_train_episodes": 100}, 50),
+            ({"num_train_episodes": 100, "steps": 1}, 75),
+            ({"num_train_episodes": 5000, "steps": 1}, 125),
             ({"policy": "act"}, 225),
             ({"policy": "diffusion", "steps": 1}, 25),
             ({"region": "R3"}, 1),
@@ -141,11 +143,12 @@ def test_a_page_may_have_tables_of_the_widest_region(tmp_path: Path) -> None:
     page.write_text("<!-- widest -->\n<!-- /widest -->\n<!-- sizes -->\n<!-- /sizes -->\n")
     assert readme_tables.update_page(page, tmp_path)
     rows = [line for line in page.read_text().splitlines() if line.startswith("| ")]
-    assert rows[0] == "| task | generation | MLP | ACT | Diffusion |" and len(rows) == 1 + 10 + 1 + 1 + 10
+    assert rows[0] == "| task | generation | MLP | ACT | Diffusion |" and len(rows) == 1 + 10 + 1 + 1 + 2 * 10
     assert "| LiftBox | - | 70.0 | 90.0 | 10.0 |" in rows and "| PourWater | - | 80.0 | 100.0 | - |" in rows
     assert "| mean | - | 71.0 | 91.0 | - |" in rows
-    assert "| task | policy | 100 episodes | 1000 episodes |" in rows
-    assert "| LiftBox | MLP | 20.0 | 70.0 |" in rows, "ACT has one size"
+    assert "| task | policy | 100 episodes | 1000 episodes | 5000 episodes |" in rows
+    assert "| LiftBox | MLP | 20.0 | 70.0 | - |" in rows, "ACT has one size"
+    assert "| LiftBox | MLP, 1 steps | 30.0 | - | 50.0 |" in rows
     aged = make_line(dataclasses.replace(cell, policy="act"), 240, successes_strict=225, stamp="old")
     lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", aged)
     assert "| mean | - | 71.0 | 91.0, an earlier version | - |" in varied_tables.widest_table(tmp_path)
