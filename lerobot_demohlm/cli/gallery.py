@@ -16,6 +16,7 @@ class Options:
     Attributes:
         task: Names of tasks, such as LiftBox.
         region: Initial region, R1 to R4.
+        variation: How worlds differ, as none, real or hard@0.5:objects.
         seed: Seed of the initial states.
         index: Number of the attempt among those of the seed.
         demonstration: Directory of the demonstration, for one task.
@@ -27,6 +28,7 @@ class Options:
 
     task: Annotated[tuple[str, ...] | None, default("all")] = None
     region: str = DEFAULT_REGION
+    variation: str = "none"
     seed: int = 0
     index: int = 0
     demonstration: Annotated[Path | None, default("the packaged one")] = None
@@ -39,6 +41,7 @@ class Options:
 def run(options: Options) -> None:
     """Write strips, videos and pages; a task that fails is shown as it failed."""
     from gym_demohlm.registry import all_tasks, get_task
+    from gym_demohlm.variation import get_variation
     from lerobot_demohlm.datasets.facts import require_new_root
     from lerobot_demohlm.reports.films import generated_take, policy_take, write_take
     from lerobot_demohlm.reports.gallery import write_pages
@@ -52,12 +55,20 @@ def run(options: Options) -> None:
         raise DatasetError(f"seed={options.seed}, index={options.index}", "0 or more", "change them")
     for task in tasks:
         task.region(options.region)
+    get_variation(options.variation)
     takes = []
     for task in tasks:
         if options.policy:
-            take = policy_take(task, options.region, options.seed, options.policy)
+            take = policy_take(task, options.region, options.seed, options.policy, options.variation)
         else:
-            take = generated_take(task, options.region, options.seed, options.index, options.demonstration)
+            take = generated_take(
+                task,
+                options.region,
+                options.seed,
+                options.index,
+                options.demonstration,
+                variation=options.variation,
+            )
         write_take(take, options.root, videos=not options.no_videos)
         print(f"{task.name}, {take.caption}", flush=True)
         takes.append(take)

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm import drawing
 from lerobot_demohlm.evaluation.evaluate import read_rollouts
 from lerobot_demohlm.evaluation.rollout import Rollout
@@ -60,6 +61,8 @@ class Failure:
         seed: Seed of the start.
         outcome: How it ended when it was counted.
         policy: ``pretrained_model`` directory of the policy.
+        variation: How worlds differed.
+        perception: How objects were seen.
     """
 
     task: str
@@ -67,6 +70,8 @@ class Failure:
     seed: int
     outcome: str
     policy: Path
+    variation: str = "none"
+    perception: str = "exact"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +131,15 @@ def sections(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> list[
         chosen = _different([rollout for rollout in rollouts if not rollout.success_held], num_videos)
         cells.append((cell, result, rollouts, len(chosen)))
         failures += [
-            Failure(task=cell.task, region=cell.region, seed=one.seed, outcome=one.outcome, policy=policy)
+            Failure(
+                task=cell.task,
+                region=cell.region,
+                seed=one.seed,
+                outcome=one.outcome,
+                policy=policy,
+                variation=cell.variation,
+                perception=cell.perception,
+            )
             for one in chosen
         ]
     videos = film_failures(failures, num_workers)
@@ -146,7 +159,12 @@ def sections(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> list[
 def _title(cell: Cell) -> str:
     data = "" if cell.variant == DEFAULT_VARIANT else f"{cell.variant}, "
     policy = method_title(cell.policy, cell.preset)
-    return f"{cell.task}: {policy}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
+    text = f"{cell.task}: {policy}, {data}{cell.num_train_episodes} episodes, seed {cell.train_seed}"
+    if cell.region != DEFAULT_REGION:
+        text += f", in {cell.region}"
+    if cell.variation != "none":
+        text += f", under {cell.variation}"
+    return text if cell.perception == "exact" else f"{text}, seen by {cell.perception}"
 
 
 def _different(failed: Sequence[Rollout], count: int) -> list[Rollout]:
@@ -195,7 +213,7 @@ def _start_worker() -> None:
 def _film(failure: Failure) -> Video | None:
     """Roll a failure out again and return its film; None where it ends otherwise now."""
     task = get_task(failure.task)
-    take = policy_take(task, failure.region, failure.seed, failure.policy)
+    take = policy_take(task, failure.region, failure.seed, failure.policy, failure.variation, failure.perception)
     if take.outcome != failure.outcome:
         return None
     with tempfile.TemporaryDirectory() as scratch:

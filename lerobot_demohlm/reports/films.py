@@ -13,10 +13,13 @@ from PIL import Image, ImageDraw
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import Task
+from gym_demohlm.task import InitialState, Task
 from gym_demohlm.timing import FPS, STEP_DT
+from gym_demohlm.variation import Variation, get_variation
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
+from lerobot_demohlm.generation.stages import Settings
 
 CAMERAS = {"overview": "A fixed camera", "head": "The robot's head camera"}
 STRIP_FRAMES, STRIP_WIDTH = 6, 320  # frames of a strip, and the width of one [px]
@@ -76,6 +79,8 @@ class Take:
 
     Attributes:
         task: What it is an episode of.
+        variation: What may differ from world to world.
+        initial_state: Of the episode, with the conditions of its world.
         snapshots: Of a simulation with one world, from the start to the end, one a step.
         origin: What made it: region, seed and attempt, or the policy.
         outcome: How it ended.
@@ -83,6 +88,8 @@ class Take:
     """
 
     task: Task
+    variation: Variation
+    initial_state: InitialState
     snapshots: Sequence[Snapshot]
     origin: str
     outcome: str
@@ -93,13 +100,19 @@ class Take:
         """Return where it comes from, how it ended and how long it took."""
         return f"{self.origin}: {self.outcome.replace('_', ' ')} after {self.length_s:.1f} s"
 
+    def world(self) -> Simulation:
+        """Return a simulation of the episode's world, at its start."""
+        sim = Simulation(self.task, variation=self.variation)
+        sim.reset([self.initial_state])
+        return sim
+
 
 class Shots(Sequence[np.ndarray]):
     """The frames of a take as one camera sees them, each drawn when it is asked for.
 
     Args:
         take: The episode.
-        sim: One world of its task, moved about to be drawn.
+        sim: Its world, moved about to be drawn.
         camera: Which of ``CAMERAS``.
         renderer: Of the simulation's model.
     """
@@ -116,7 +129,13 @@ class Shots(Sequence[np.ndarray]):
 
 
 def generated_take(
-    task: Task, region: str, seed: int, index: int, demonstration: Path | None = None, controller: str | None = None
+    task: Task,
+    region: str,
+    seed: int,
+    index: int,
+    demonstration: Path | None = None,
+    controller: str | None = None,
+    variation: str = "none",
 ) -> Take:
     """Make one attempt, the one that ``demohlm generate`` makes with this seed by default.
 
@@ -127,22 +146,37 @@ def generated_take(
         index: Of the attempt.
         demonstration: Directory of the demonstration; the packaged one by default.
         controller: Name, path or hash of the whole-body controller; the default one by default.
+        variation: How worlds differ, as "real".
     """
     task.region(region)
     snapshots: list[Snapshot] = []
     source = demonstrations.load(demonstration, task)
+    settings = Settings(variation=DataVariation(variation=variation))
     attempts = Attempts(
-        task, source, region, seed, on_step=lambda sim: snapshots.append(sim.snapshot()), controller=controller
+        task,
+        source,
+        region,
+        seed,
+        settings=settings,
+        on_step=lambda sim: snapshots.append(sim.snapshot()),
+        controller=controller,
     )
     (episode,) = attempts.run([index])
     attempts.close()
-    origin = f"{region}, seed {seed}, attempt {index}"
     return Take(
-        task=attempts.task, snapshots=snapshots, origin=origin, outcome=episode.outcome, length_s=episode.length_s
+        task=attempts.task,
+        variation=get_variation(variation),
+        initial_state=episode.initial_state,
+        snapshots=snapshots,
+        origin=f"{_place(region, variation)}, seed {seed}, attempt {index}",
+        outcome=episode.outcome,
+        length_s=episode.length_s,
     )
 
 
-def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
+def policy_take(
+    task: Task, region: str, seed: int, policy: Path, variation: str = "none", perception: str = "exact"
+) -> Take:
     """Roll a policy out once.
 
     Args:
@@ -150,6 +184,8 @@ def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
         region: Initial region.
         seed: Of the start, as in ``demohlm evaluate``.
         policy: ``pretrained_model`` directory of a checkpoint.
+        variation: How worlds differ, as "real".
+        perception: How observation and gaze see objects, as "rgbd".
     """
     from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, rollouts  # loads torch and lerobot's policies
 
@@ -158,16 +194,21 @@ def policy_take(task: Task, region: str, seed: int, policy: Path) -> Take:
     def keep(env: DemoHLMVectorEnv, _going: np.ndarray) -> None:
         snapshots.append(env.sim.snapshot())
 
-    setting = Setting(task=task.name, region=region, num_worlds=1)
+    setting = Setting(task=task.name, region=region, num_worlds=1, variation=variation, perception=perception)
     (rollout,) = rollouts(load_policy(policy, task.name), setting, [seed], on_step=keep)
-    origin = f"{rollout.policy}, {region}, seed {seed}"
     return Take(
         task=task.at(region),
+        variation=get_variation(variation),
+        initial_state=dict(rollout.initial_state),
         snapshots=snapshots,
-        origin=origin,
+        origin=f"{rollout.policy}, {_place(region, variation)}, seed {seed}",
         outcome=rollout.outcome,
         length_s=STEP_DT * (len(snapshots) - 1),
     )
+
+
+def _place(region: str, variation: str) -> str:
+    return f"{region} under {variation}" if get_variation(variation) else region
 
 
 def write_take(
@@ -190,7 +231,7 @@ def write_take(
         cameras: Which of ``CAMERAS``.
     """
     root.mkdir(parents=True, exist_ok=True)
-    sim, height = Simulation(take.task), round(width * HEIGHT / WIDTH)
+    sim, height = take.world(), round(width * HEIGHT / WIDTH)
     if strips:
         sim.model.vis.quality.shadowsize = SHADOW_SIZE
     stem = take.task.slug

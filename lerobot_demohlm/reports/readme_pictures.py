@@ -21,7 +21,6 @@ from PIL import Image
 from gym_demohlm import poses
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.registry import get_task
-from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.reports.films import SHADOW_SIZE, Take, generated_take, policy_take
 
 REGION, SEED, INDEX = "R3", 0, 0  # of the generated episodes
@@ -109,7 +108,7 @@ class Painter:
 
     def __init__(self, take: Take, width: int) -> None:
         self._take, self._size = take, (width, round(width * HEIGHT / WIDTH))
-        self._sim = Simulation(take.task)
+        self._sim = take.world()
         self._sim.model.vis.quality.shadowsize = SHADOW_SIZE
         self._renderer = Renderer(self._sim.model, shadows=True)
 

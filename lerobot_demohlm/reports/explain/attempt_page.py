@@ -13,8 +13,6 @@ from gym_demohlm.control import command
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Renderer
 from gym_demohlm.robot import g1
 from gym_demohlm.robot.hands import GRIPPER
-from gym_demohlm.scene import build_scene
-from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.judge import COLLISION_N
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm import drawing
@@ -24,7 +22,7 @@ from lerobot_demohlm.reports.explain import figures, story
 from lerobot_demohlm.reports.explain.figures import STAGE_COLOURS, Curve, Plan, chart
 from lerobot_demohlm.reports.explain.pages import render
 from lerobot_demohlm.reports.explain.trace import Trace
-from lerobot_demohlm.reports.films import CAMERAS, Film, Shots, Take, film_strip
+from lerobot_demohlm.reports.films import CAMERAS, Film, Shots, film_strip
 
 _HANDS = {"left": figures.LEFT, "right": figures.RIGHT}
 _STRIP_FRAMES, _STRIP_WIDTH = 10, 236
@@ -62,14 +60,8 @@ def attempt_page(trace: Trace, *, origin: str, again: str, pictures: bool = True
 
 def film_strips(trace: Trace) -> list[dict[str, str]]:
     """Return strips (JPEG, base64) from each camera with their captions."""
-    take = Take(
-        task=trace.task,
-        snapshots=trace.snapshots,
-        origin="",
-        outcome=trace.episode.outcome,
-        length_s=trace.episode.length_s,
-    )
-    sim, strips = Simulation(trace.task), []
+    take, strips = trace.take(), []
+    sim = take.world()
     with Renderer(sim.model, WIDTH, HEIGHT) as renderer:
         for camera, caption in CAMERAS.items():
             film = Film(frames=Shots(take, sim, camera, renderer), caption=caption)
@@ -88,7 +80,8 @@ def _jpeg(png: bytes) -> str:
 
 def plan(trace: Trace) -> Markup:
     """Return the attempt seen from above: ways of base, palms and objects, goal, anchors and things."""
-    model = build_scene(trace.task).model
+    sim = trace.take().world()
+    sim.mj_data()  # brings its model to the sizes that things had
     names = [entry.name for entry in trace.task.objects]
     starts = {**trace.supports, **{name: trace.objects[0, index] for index, name in enumerate(names)}}
     seen = [trace.pelvis[:, :2, 3], trace.hands[:, :, :2, 3].reshape(-1, 2), trace.objects[:, :, :2, 3].reshape(-1, 2)]
@@ -96,11 +89,11 @@ def plan(trace: Trace) -> Markup:
         seen.append(trace.placement.goal[None, :2])
     seen_from_above = Plan(np.concatenate(seen), width=640)
     for name, T in starts.items():
-        seen_from_above.outline(footprint(model, name), T, "#9a8b78" if name in trace.supports else figures.INK)
+        seen_from_above.outline(footprint(sim.model, name), T, "#9a8b78" if name in trace.supports else figures.INK)
     for index, name in enumerate(names):
         seen_from_above.trail(trace.objects[:, index, :2, 3], figures.GREY, 1.2)
         if np.linalg.norm(trace.objects[-1, index, :2, 3] - trace.objects[0, index, :2, 3]) > 0.02:
-            seen_from_above.outline(footprint(model, name), trace.objects[-1, index], figures.INK, dashed=True)
+            seen_from_above.outline(footprint(sim.model, name), trace.objects[-1, index], figures.INK, dashed=True)
     for stage, start, stop in trace.bands():
         steps = slice(round(start / STEP_DT), round(stop / STEP_DT) + 1)
         colour = {"locomotion": "#5b8fc7", "pre_manipulation": "#c79a2b"}.get(stage, figures.GOOD)
@@ -116,6 +109,7 @@ def plan(trace: Trace) -> Markup:
         first = begun.group[0]
         name = str(first.object) if first.kind == "object" else f"anchor {number}"
         seen_from_above.frame(begun.frames_now[0], name, beside=0 if first.kind == "object" else 1)
+    sim.close()
     return seen_from_above.markup()
 
 

@@ -13,6 +13,7 @@ from gym_demohlm import poses
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from gym_demohlm.timing import STEP_DT
+from gym_demohlm.variation import Variation, get_variation
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.demonstrations.demonstration import CONTACT_FORCE_N, Demonstration
 from lerobot_demohlm.demonstrations.segmentation import contact_events
@@ -20,6 +21,7 @@ from lerobot_demohlm.generation.attempt import Attempt, Attempts
 from lerobot_demohlm.generation.hand_targets import Started
 from lerobot_demohlm.generation.retarget import Placement
 from lerobot_demohlm.generation.stages import Settings
+from lerobot_demohlm.reports.films import Take
 
 _HAND_FRAMES = ("left_palm", "right_palm")
 
@@ -31,6 +33,7 @@ class Trace:
     Attributes:
         task: The task.
         demonstration: Its source.
+        variation: What may differ from world to world.
         episode: What a dataset would hold of it.
         placement: The symmetry chosen and the base goal; None where the attempt ended before.
         started: Segments that began, and between which frames they were carried over.
@@ -53,6 +56,7 @@ class Trace:
 
     task: Task
     demonstration: Demonstration
+    variation: Variation
     episode: Episode
     placement: Placement | None
     started: tuple[Started, ...]
@@ -80,6 +84,18 @@ class Trace:
     def duration_s(self) -> float:
         """Simulated time [s]."""
         return len(self) * STEP_DT
+
+    def take(self) -> Take:
+        """Return the same to be drawn."""
+        return Take(
+            task=self.task,
+            variation=self.variation,
+            initial_state=self.episode.initial_state,
+            snapshots=self.snapshots,
+            origin="",
+            outcome=self.episode.outcome,
+            length_s=self.episode.length_s,
+        )
 
     def bands(self) -> list[tuple[str, float, float]]:
         """Return (stage, start [s], stop [s]) in the order of time."""
@@ -197,6 +213,7 @@ def trace(
     return Trace(
         task=attempts.task,
         demonstration=attempts.demonstration,
+        variation=get_variation((settings or Settings()).variation.variation),
         episode=episode,
         placement=None if running is None else running.placement,
         started=started,

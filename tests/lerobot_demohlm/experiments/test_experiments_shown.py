@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 from gym_demohlm import jsonl
 from gym_demohlm.errors import UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm import cli, drawing
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
@@ -375,17 +376,40 @@ def test_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_films_are_of_the_failure_that_was_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    take = films.Take(task=get_task("LiftBox"), snapshots=[], origin="mlp", outcome="dropped", length_s=3.0)
-    monkeypatch.setattr(page, "policy_take", lambda *_: take)
+    take = films.Take(
+        task=get_task("LiftBox"),
+        variation=get_variation("real"),
+        initial_state={},
+        snapshots=[],
+        origin="mlp",
+        outcome="dropped",
+        length_s=3.0,
+    )
+    asked: list[tuple[object, ...]] = []
+
+    def roll_out(*words: object) -> films.Take:
+        asked.append(words)
+        return take
+
+    monkeypatch.setattr(page, "policy_take", roll_out)
 
     def write(_take: films.Take, root: Path, **_options: object) -> None:
         (root / "lift_box_overview.mp4").write_bytes(b"film")
 
     monkeypatch.setattr(page, "write_take", write)
     failures = [
-        page.Failure(task="LiftBox", region="R3", seed=3, outcome=outcome, policy=tmp_path)
+        page.Failure(
+            task="LiftBox",
+            region="R4",
+            seed=3,
+            outcome=outcome,
+            policy=tmp_path,
+            variation="real",
+            perception="rgbd",
+        )
         for outcome in ("fell", "dropped")
     ]
     other, same = page.film_failures(failures)
+    assert asked == [(get_task("LiftBox"), "R4", 3, tmp_path, "real", "rgbd")] * 2
     assert other is None
     assert same is not None and same.mp4 == "ZmlsbQ==" and "mlp" in same.caption

@@ -12,17 +12,19 @@ import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.scene import build_scene
 from lerobot_demohlm import cli
 from lerobot_demohlm.datasets import facts
-from lerobot_demohlm.datasets.variation import PLAIN
+from lerobot_demohlm.datasets.variation import PLAIN, DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation import stages
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.reports import explain
 from lerobot_demohlm.reports.explain import figures, run_page, story
-from lerobot_demohlm.reports.explain.attempt_page import attempt_page
+from lerobot_demohlm.reports.explain.attempt_page import attempt_page, film_strips, footprint, plan
 from lerobot_demohlm.reports.explain.trace import Trace, trace
+from lerobot_demohlm.reports.films import CAMERAS
 from tests.helpers import small_run as run
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -86,6 +88,20 @@ def test_velocity_is_that_of_the_base_in_its_heading(success: Trace) -> None:
     )
     velocity = dataclasses.replace(success, pelvis=circle, episode=episode).base_velocity(7)
     np.testing.assert_allclose(velocity[5:-5], np.tile([0.5, 0.0, 0.5], (steps - 10, 1)), atol=0.02)
+
+
+def test_an_attempt_in_a_varied_world_is_drawn_as_it_was() -> None:
+    settings = stages.Settings(variation=DataVariation(variation="real"))
+    made = trace(run.TASK, demonstrations.load(task=run.TASK), "R4", run.SEED, 0, settings)
+    strips = film_strips(dataclasses.replace(made, snapshots=made.snapshots[::60]))
+    assert [strip["caption"] for strip in strips] == list(CAMERAS.values())
+    world, plain = made.take().world(), build_scene(made.task, variation=made.variation).model
+    world.mj_data()
+    (ratio,) = made.episode.initial_state["objects.size.box"]
+    assert ratio != 1.0
+    np.testing.assert_allclose(footprint(world.model, "box"), footprint(plain, "box") * ratio)
+    world.close()
+    assert "<svg" in plan(made)
 
 
 def test_the_page_of_a_success(success: Trace) -> None:

@@ -12,10 +12,14 @@ from gym_demohlm.envs.rendering import Renderer
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm import cli
+from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, rollouts
 from lerobot_demohlm.generation.attempt import attempt
+from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reports import films, gallery
 from lerobot_demohlm.reports.films import Shots, Take
+from tests.helpers.checkpoints import save_policy
 
 TASK = get_task("LiftBox")
 
@@ -37,6 +41,37 @@ def test_a_take_is_the_attempt_of_that_seed_and_index(take: Take) -> None:
     sim.close()
     assert verdicts == episode.success.tolist()
     assert f"R1, seed 7, attempt 1: success after {episode.length_s:.1f} s" == take.caption
+
+
+def test_a_take_is_drawn_in_the_world_that_it_had(tmp_path: Path) -> None:
+    task, settings = get_task("PressCube"), Settings(variation=DataVariation(variation="real"))
+    take = films.generated_take(task, "R4", seed=970001, index=0, variation="real")
+    episode = attempt(task, demonstrations.load(task=task), "R4", 970001, 0, settings)
+    assert (take.outcome, take.length_s) == (episode.outcome, episode.length_s)
+    assert take.initial_state == episode.initial_state
+    assert take.caption.startswith("R4 under real, seed 970001, attempt 0: ")
+    world, plain = take.world(), Simulation(take.task, variation=take.variation)
+    sizes = []
+    for sim in (world, plain):
+        sim.restore(take.snapshots[-1])
+        sim.mj_data()
+        sizes.append(sim.model.geom("cube").size[0])
+        sim.close()
+    (ratio,) = take.initial_state["objects.size.cube"]
+    assert ratio != 1.0
+    assert sizes[0] / sizes[1] == pytest.approx(ratio)
+    films.write_take(dataclasses.replace(take, snapshots=take.snapshots[::40]), tmp_path, width=64, videos=False)
+    assert {path.name for path in tmp_path.iterdir()} == {f"press_cube_{camera}.png" for camera in films.CAMERAS}
+
+
+def test_a_policy_is_filmed_in_the_worlds_that_it_is_asked_for(tmp_path: Path) -> None:
+    policy = save_policy(tmp_path / "policy")
+    setting = Setting(task="LiftBox", region="R1", num_worlds=1, variation="real:objects")
+    take = films.policy_take(TASK, "R1", 5, policy, "real:objects")
+    (rollout,) = rollouts(load_policy(policy, "LiftBox"), setting, [5])
+    assert (take.outcome, take.initial_state) == (rollout.outcome, rollout.initial_state)
+    assert "objects.mass.box" in take.initial_state
+    assert "R1 under real:objects, seed 5" in take.caption
 
 
 def test_shots_show_the_moment_that_is_asked_for(take: Take) -> None:
@@ -86,6 +121,7 @@ def test_films_and_pages(take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyP
         ["--task", "LiftBox", "--region", "R9"],
         ["--task", "LiftBox", "--index", "-1"],
         ["--policy", "nowhere"],
+        ["--variation", "windy"],
         ["--task", "LiftBox", "--policy", "nowhere"],
     ],
 )
