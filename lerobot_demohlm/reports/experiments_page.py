@@ -56,22 +56,16 @@ class Failure:
     """A rollout that failed and is to be filmed.
 
     Attributes:
-        task: Name of the task.
-        region: Initial region.
+        cell: Whose rollout it is: it says where robot and objects stood, how worlds differed and how objects were seen.
         seed: Seed of the start.
         outcome: How it ended when it was counted.
         policy: ``pretrained_model`` directory of the policy.
-        variation: How worlds differed.
-        perception: How objects were seen.
     """
 
-    task: str
-    region: str
+    cell: Cell
     seed: int
     outcome: str
     policy: Path
-    variation: str = "none"
-    perception: str = "exact"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,18 +124,7 @@ def sections(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> list[
         rollouts = read_rollouts(layout.rollouts(cell))
         chosen = _different([rollout for rollout in rollouts if not rollout.success_held], num_videos)
         cells.append((cell, result, rollouts, len(chosen)))
-        failures += [
-            Failure(
-                task=cell.task,
-                region=cell.region,
-                seed=one.seed,
-                outcome=one.outcome,
-                policy=policy,
-                variation=cell.variation,
-                perception=cell.perception,
-            )
-            for one in chosen
-        ]
+        failures += [Failure(cell=cell, seed=one.seed, outcome=one.outcome, policy=policy) for one in chosen]
     videos = film_failures(failures, num_workers)
     for cell, result, rollouts, count in cells:
         own = [next(videos) for _ in range(count)]
@@ -212,8 +195,9 @@ def _start_worker() -> None:
 
 def _film(failure: Failure) -> Video | None:
     """Roll a failure out again and return its film; None where it ends otherwise now."""
-    task = get_task(failure.task)
-    take = policy_take(task, failure.region, failure.seed, failure.policy, failure.variation, failure.perception)
+    cell = failure.cell
+    task = get_task(cell.task)
+    take = policy_take(task, cell.region, failure.seed, failure.policy, cell.variation, cell.perception)
     if take.outcome != failure.outcome:
         return None
     with tempfile.TemporaryDirectory() as scratch:

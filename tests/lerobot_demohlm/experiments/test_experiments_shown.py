@@ -397,18 +397,8 @@ def test_films_are_of_the_failure_that_was_counted(tmp_path: Path, monkeypatch: 
         (root / "lift_box_overview.mp4").write_bytes(b"film")
 
     monkeypatch.setattr(page, "write_take", write)
-    failures = [
-        page.Failure(
-            task="LiftBox",
-            region="R4",
-            seed=3,
-            outcome=outcome,
-            policy=tmp_path,
-            variation="real",
-            perception="rgbd",
-        )
-        for outcome in ("fell", "dropped")
-    ]
+    cell = dataclasses.replace(CELL, region="R4", variation="real", perception="rgbd")
+    failures = [page.Failure(cell=cell, seed=3, outcome=outcome, policy=tmp_path) for outcome in ("fell", "dropped")]
     other, same = page.film_failures(failures)
     assert asked == [(get_task("LiftBox"), "R4", 3, tmp_path, "real", "rgbd")] * 2
     assert other is None
