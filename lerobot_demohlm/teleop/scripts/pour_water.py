@@ -13,11 +13,12 @@ from lerobot_demohlm.teleop.path import PathOperator, Waypoint
 START: InitialState = {"robot": [-0.02, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: 0.39 m before bottle and bowl."""
 
-GRIP_HEIGHT = -0.01  # m above the bottle's middle
-BESIDE = -0.075  # m, the hand from the bowl's middle, to the right, and
-POURING = -0.09  # m, while the water leaves the bottle: it flies on to the left
-OVER = 0.115  # m, the hand above the bowl's middle while it pours
-TIPPED = -1.95  # rad: the bottle's mouth turns left and down
+GRIP_HEIGHT = -0.03  # m above the bottle's middle: pushed higher up, the bottle tips over
+BESIDE = -0.05  # m, the hand from the bowl's middle, to the right: half of the bottle is over the bowl
+POURING = -0.16  # m, while the water leaves the bottle: its mouth is 4 cm to the right, and the water flies as far left
+OVER = 0.12  # m, the hand above the bowl's middle while it pours
+LEVEL = -1.45  # rad: the bottle's mouth turns left; no water leaves it yet
+TIPPED = -1.90  # rad: it turns down
 LEFT_ASIDE = (0.12, 0.28, 0.74)  # m, the left palm in the base frame, clear of the table
 
 
@@ -42,7 +43,7 @@ def _take(view: SceneView) -> list[Waypoint]:
     return [
         Waypoint(T_world_hands=hands(-0.16, 0.06), duration_s=2.0),
         Waypoint(T_world_hands=hands(-0.10, 0.0), duration_s=1.0, watched=True),
-        Waypoint(T_world_hands=hands(0.0, 0.0), duration_s=1.2, watched=True),
+        Waypoint(T_world_hands=hands(0.0, 0.0), duration_s=1.6, watched=True),
         Waypoint(T_world_hands=hands(0.0, 0.0), duration_s=1.0, watched=True),
         Waypoint(T_world_hands=hands(0.0, 0.0), duration_s=0.8, grippers=(0.0, 1.0)),
         Waypoint(T_world_hands=hands(-0.01, 0.10), duration_s=1.4, grippers=(0.0, 1.0)),
@@ -62,8 +63,8 @@ def _pour(view: SceneView) -> list[Waypoint]:
     closed = (0.0, 1.0)
     return [
         Waypoint(T_world_hands=hands(0.0, BESIDE - 0.05, OVER + 0.04), duration_s=1.2, grippers=closed),
-        Waypoint(T_world_hands=hands(0.5 * TIPPED, POURING, OVER + 0.02), duration_s=1.2, grippers=closed),
-        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=2.2, grippers=closed),
+        Waypoint(T_world_hands=hands(LEVEL, POURING, OVER + 0.02), duration_s=1.6, grippers=closed),
+        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=4.0, grippers=closed),
         Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=1.5, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.8, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.6, grippers=closed),
