@@ -18,7 +18,7 @@ BESIDE = -0.05  # m, the hand from the bowl's middle, to the right: half of the 
 POURING = -0.16  # m, while the water leaves the bottle: its mouth is 4 cm to the right, and the water flies as far left
 OVER = 0.12  # m, the hand above the bowl's middle while it pours
 LEVEL = -1.45  # rad: the bottle's mouth turns left; no water leaves it yet
-TIPPED = -1.90  # rad: it turns down
+TIPPED = -1.95  # rad: it turns down; nobody waits there, as policies would not go on
 LEFT_ASIDE = (0.12, 0.28, 0.74)  # m, the left palm in the base frame, clear of the table
 
 
@@ -64,8 +64,7 @@ def _pour(view: SceneView) -> list[Waypoint]:
     return [
         Waypoint(T_world_hands=hands(0.0, BESIDE - 0.05, OVER + 0.04), duration_s=1.2, grippers=closed),
         Waypoint(T_world_hands=hands(LEVEL, POURING, OVER + 0.02), duration_s=1.6, grippers=closed),
-        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=4.0, grippers=closed),
-        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=1.5, grippers=closed),
+        Waypoint(T_world_hands=hands(TIPPED, POURING, OVER), duration_s=3.2, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.8, grippers=closed),
         Waypoint(T_world_hands=hands(0.0, BESIDE, OVER + 0.02), duration_s=1.6, grippers=closed),
     ]
