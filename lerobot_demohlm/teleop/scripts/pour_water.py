@@ -14,11 +14,11 @@ START: InitialState = {"robot": [-0.02, 0.10, 0.0], "object": [0.0, 0.0, 0.0]}
 """Where the robot stands when the operator takes over: 0.39 m before bottle and bowl."""
 
 GRIP_HEIGHT = -0.03  # m above the bottle's middle: pushed higher up, the bottle tips over
-BESIDE = -0.05  # m, the hand from the bowl's middle, to the right: half of the bottle is over the bowl
-POURING = -0.16  # m, while the water leaves the bottle: its mouth is 4 cm to the right, and the water flies as far left
+BESIDE = -0.05  # m, the hand from the bowl's middle, to the right: most of the bottle is over the bowl
+POURING = -0.16  # m, while the water leaves the bottle: its mouth is 5 cm to the right, and the water flies as far left
 OVER = 0.12  # m, the hand above the bowl's middle while it pours
 LEVEL = -1.45  # rad: the bottle's mouth turns left; no water leaves it yet
-TIPPED = -1.95  # rad: it turns down; nobody waits there, as policies would not go on
+TIPPED = -1.95  # rad: it turns down; without a wait there, in which policies would stay
 LEFT_ASIDE = (0.12, 0.28, 0.74)  # m, the left palm in the base frame, clear of the table
 
 
