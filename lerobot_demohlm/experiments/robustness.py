@@ -9,7 +9,7 @@ from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import GRADED, STRENGTHS, graded
-from lerobot_demohlm.experiments.rates import age, latest, markdown, method_title
+from lerobot_demohlm.experiments.rates import age, latest, markdown, method_title, steps_title
 from lerobot_demohlm.experiments.success_curves import Panel, Point, draw_panels
 
 SUCCESS = "success_strict"
@@ -61,9 +61,10 @@ def measured(lines: Path) -> list[Row]:
 def scored(results: Iterable[PolicyResult]) -> list[Row]:
     """Return what ``demohlm reproduce --table robustness`` has found, of policies that it measured under some group."""
     found: dict[str, dict[str, tuple[int, int]]] = {}
-    for line in latest(results):
+    for line in latest(results, any_steps=True):
         if line.perception == "exact" and line.successes_strict is not None:
-            trained = f"{method_title(line.policy, line.preset)} of {line.num_train_episodes} {line.variant}"
+            data = f"{line.num_train_episodes} {line.variant}"
+            trained = f"{method_title(line.policy, line.preset)} of {data}{steps_title(line)}"
             cells = found.setdefault(f"{line.task} {line.region}, {trained}{age(line)}", {})
             before = cells.get(line.variation, (0, 0))  # of another seed of the training
             cells[line.variation] = before[0] + line.successes_strict, before[1] + line.episodes

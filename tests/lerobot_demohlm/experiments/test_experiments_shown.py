@@ -22,6 +22,7 @@ from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import STRENGTHS, graded, plan
 from lerobot_demohlm.experiments.robustness import Row
 from lerobot_demohlm.experiments.variants import stamp
+from lerobot_demohlm.policies.presets import get_preset
 from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reports import experiments_page as page
 from lerobot_demohlm.reports import films
@@ -219,9 +220,11 @@ def test_scores_under_each_group_become_rows(tmp_path: Path) -> None:
         for seed in (0, 1)
     ]
     paper_like = dataclasses.replace(cell, preset="paper", variation="hard@1:robot")
-    assert [row.name for row in robustness.scored([*own, make_line(paper_like, successes_strict=9)])] == [
-        "LiftBox R3, ACT (paper) of 100 real", "LiftBox R3, ACT of 100 real"
-    ], "another recipe is another row"  # fmt: skip
+    other = make_line(paper_like, successes_strict=9, steps=get_preset("act", "paper").steps)
+    longer = make_line(dataclasses.replace(cell, variation="hard@1:robot"), successes_strict=9, steps=24_000)
+    assert [row.name for row in robustness.scored([*own, other, longer])] == [
+        "LiftBox R3, ACT (paper) of 100 real", "LiftBox R3, ACT of 100 real", "LiftBox R3, ACT of 100 real, 24000 steps"
+    ], "another recipe is another row, and so is another number of steps"  # fmt: skip
     rows = robustness.scored([*own, make_line(CELL, successes_strict=9)])
     assert [row.name for row in rows] == ["LiftBox R3, ACT of 100 real"]
     assert rows[0].shares["none"] == (500, 500)
