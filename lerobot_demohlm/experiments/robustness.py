@@ -20,7 +20,7 @@ class Row:
     """What is known of one policy.
 
     Attributes:
-        name: Task, region and policy, as a table and a legend call it.
+        name: Task, region and policy with its training, as a table and a legend call it.
         shares: Strict successes and rollouts, by the name of the variation.
     """
 
@@ -59,7 +59,10 @@ def measured(lines: Path) -> list[Row]:
 
 
 def scored(results: Iterable[PolicyResult]) -> list[Row]:
-    """Return what ``demohlm reproduce --table robustness`` has found, of policies that it measured under some group."""
+    """Return what ``demohlm reproduce --table robustness`` has found, of policies that it measured under some group.
+
+    Trainings of different numbers of steps are different policies.
+    """
     found: dict[str, dict[str, tuple[int, int]]] = {}
     for line in latest(results, any_steps=True):
         if line.perception == "exact" and line.successes_strict is not None:
