@@ -25,7 +25,6 @@ from lerobot_demohlm.generation.world_view import WorldView
 
 MAX_VELOCITY = (0.35, 0.2, 0.2, 0.4)  # m/s, m/s, m/s, rad/s: forward, backward, sideways and turning with a load
 MAX_TICKS = 350
-APPROACH_M = 0.2  # by which it keeps further from tables than it stands at the goal, until it comes to its place
 BACK_M = 0.35  # that the robot steps back before it turns to the goal
 _BEND_COST = 2.0  # m, rather than which the robot turns: on its way past a table it may brush against it
 _PASSING = {"max_walks": 1, "tolerance_m": 0.10, "tolerance_rad": 0.6, "settle_ticks": 0}  # where a way bends
@@ -75,7 +74,7 @@ class Carrying:
     def walk(self, tick: int) -> Iterator[np.ndarray]:
         """Yield velocities (3,) [m/s, m/s, rad/s] that take the base back, and then to where it stood for the goal.
 
-        It goes around both the place where the thing was taken and the goal, and comes to its place from behind it.
+        It goes around both the place where the thing was taken and the goal.
 
         Raises:
             StageError: It does not get there.
@@ -87,7 +86,7 @@ class Carrying:
         T_W_Od, T_W_O = self._goal_poses(entry)
         goal = self._task.goals[str(entry.held)]
         T_W_Rd = self._demonstration.T_world_pelvis[min(entry.start + _SETTLED, entry.stop - 1)]
-        clearance = float(norm((T_W_Od - T_W_Rd)[:2, 3]))  # as far as the robot stands from the goal
+        clearance = float(norm((T_W_Od - T_W_Rd)[:2, 3]))  # as the robot stands at the goal, so it may pass
         placement = retarget.choose_placement(
             "any" if goal.any_yaw else self._task.object(goal.object).symmetry,
             T_W_Rd=T_W_Rd,
@@ -98,14 +97,12 @@ class Carrying:
             bend_cost=_BEND_COST,
         )
         self._turns[entry.start] = placement.symmetry
-        ahead = np.append(poses.planar(*placement.goal)[:2, 0], 0.0)
-        entrance = placement.goal - APPROACH_M * ahead
         for obstacle in (self._world.start_pose(str(entry.held)), T_W_O):
             here = self._world.pose("pelvis")[:2, 3]
-            bend = way_around(here, entrance[:2], obstacle[:2, 3], clearance + APPROACH_M)
+            bend = way_around(here, placement.goal[:2], obstacle[:2, 3], clearance)
             if bend is not None:
-                yield from self._pass(np.append(bend, placement.goal[2]))
-        yield from self._pass(entrance)
+                with contextlib.suppress(OffCourseError):
+                    yield from self._velocities(np.append(bend, placement.goal[2]), replace(self._settings, **_PASSING))
         try:
             yield from self._velocities(placement.goal, self._settings)
         except OffCourseError:
@@ -113,11 +110,6 @@ class Carrying:
             reason = f"the base stood {left:.3f} m from its place at the {goal.object} after all its walks with a load"
             raise StageError("off_course", reason) from None
         self.resumes = entry.start
-
-    def _pass(self, place: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the velocities of a walk past a place (3,) x, y, yaw [m, m, rad]; how near it comes is no matter."""
-        with contextlib.suppress(OffCourseError):
-            yield from self._velocities(place, replace(self._settings, **_PASSING))
 
     def _velocities(self, goal: np.ndarray, settings: LocomotionSettings) -> Iterator[np.ndarray]:
         """Yield the velocities of a walk to a goal (3,) x, y, yaw [m, m, rad]."""
