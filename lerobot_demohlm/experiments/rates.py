@@ -83,15 +83,14 @@ def latest(lines: Iterable[PolicyResult], *, any_steps: bool = False) -> list[Po
     Args:
         lines: Of any cells.
         any_steps: Take trainings of different numbers of steps for different cells. Otherwise those of as many as the
-            preset has are kept, where there are any.
+            preset has are kept, where there are any of any version.
     """
     keys = ("task", "policy", "preset", "num_train_episodes", "region", "variant", "variation", "perception")
     keys += ("steps",) if any_steps else ()
     kept = []
     for found in group(lines, *keys).values():
-        current = [line for line in found if line.stamp == found[-1].stamp]
-        current.sort(key=lambda line: not steps_title(line))
-        kept += {line.train_seed: line for line in current}.values()
+        usual = [line for line in found if not steps_title(line)] or found
+        kept += {line.train_seed: line for line in usual if line.stamp == usual[-1].stamp}.values()
     return kept
 
 

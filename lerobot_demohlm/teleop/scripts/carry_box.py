@@ -25,7 +25,7 @@ BESIDE = 0.07  # m, beside the box before the squeeze and after it
 GRIP_HEIGHT, GRIP_NEAR = 0.02, 0.03  # m, the palms above the box's middle, and from it towards the robot
 TILT = 0.35  # rad, fingers down
 LIFTED, HELD_AHEAD = 0.14, 0.34  # m, the box above the table, and its middle ahead of the pelvis
-STANCE = 0.40  # m that the goal is ahead of the pelvis: a robot that drifts back still reaches over it
+STANCE = 0.40  # m that the goal is ahead of the pelvis: clear of its table, and in reach after a drift back
 ABOVE = 0.004  # m, the box is let go at this height above the table
 WALK = replace(LocomotionSettings(), max_velocity=(0.3, 0.2, 0.2, 0.4), max_ticks=400, max_walks=8)
 

@@ -190,6 +190,8 @@ def test_trainings_of_other_steps_have_rows_of_their_own_or_stand_in() -> None:
     assert rows[5].startswith("| LiftBox | MLP, 24000 steps | 100 | real | 80.0 ")
     assert rates.latest([usual, longer]) == rates.latest([longer, usual]) == [usual]
     assert rates.latest([longer]) == [longer]
+    before = make_line(real, 90, stamp="before")
+    assert rates.latest([before, longer]) == [before]  # a longer training does not pass for the usual one
     assert rates.latest([usual, longer], any_steps=True) == [usual, longer]
 
 
