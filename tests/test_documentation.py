@@ -24,8 +24,8 @@ NEEDED = {
     "demohlm train --root data/lift_box --output outputs/lift_box\n",
     "variation.md": "demohlm generate --task GraspCube --num-attempts 3 --root data/grasp_cube\n"
     "demohlm train --root data/grasp_cube --output outputs/grasp_cube\n",
-    "policies.md": "demohlm generate --task LiftBox --num-attempts 3 --root data/lift_box\n"
-    "demohlm generate --task GraspCube --num-attempts 3 --root data/grasp_cube\n",
+    "policies.md": "demohlm generate --task LiftBox --num-attempts 3 --root data/lift_box\n",
+    "trials.md": "demohlm generate --task GraspCube --num-attempts 3 --root data/grasp_cube\n",
 }
 """What a reader of a page has done before."""
 TO_RUN = [page for page in PAGES if page.name not in NOT_RUN and documented.blocks(page.read_text(), "bash")]

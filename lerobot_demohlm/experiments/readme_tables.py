@@ -167,6 +167,9 @@ MARKED: Mapping[str, Callable[[Path], str]] = {
     "perception": lambda results: perception_counts(read_policies(results / "experiments.jsonl")),
     "widest": varied_tables.widest_table,
     "sizes": varied_tables.sizes_table,
+    "steps": varied_tables.steps_table,
+    "seeds": varied_tables.seeds_table,
+    "plain data": varied_tables.plain_data_table,
 }
 """The tables that stand between markers ``<!-- NAME -->`` and ``<!-- /NAME -->`` of other pages."""
 

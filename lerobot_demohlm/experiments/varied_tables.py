@@ -1,7 +1,9 @@
-"""Lines of results -> strict success in worlds that vary, one row a task: the README's table, and those of R4."""
+"""Lines of results -> strict success in worlds that vary: the README's table, those of R4, and comparisons."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from scipy.stats import fisher_exact
 
 from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from lerobot_demohlm.experiments import paper
@@ -18,6 +20,7 @@ from lerobot_demohlm.experiments.rates import (
     strict_rate,
 )
 from lerobot_demohlm.experiments.tables import SHOWN_EPISODES, VARIED
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
 from lerobot_demohlm.policies.presets import POLICIES
 
 METHODS = ("generation", *(TITLES[policy] for policy in POLICIES))
@@ -89,9 +92,94 @@ def sizes_table(results: Path) -> str:
     return markdown(["task", "policy", *(f"{size} episodes" for size in sizes)], rows)
 
 
-def _scored(results: Path, region: str, *, any_steps: bool = False) -> list[PolicyResult]:
-    """Return the scores of policies of worlds that vary in such worlds, by the `cpu` presets, in one region."""
-    wanted = (VARIED, VARIED, "exact", region, "cpu")
+def steps_table(results: Path) -> str:
+    """Return strict success [%] in worlds that vary by the number of training steps, where several were tried.
+
+    The last column is Fisher's exact test of the longest training against the shortest. Below them are the means of
+    all tasks: each counts with its longest training of at most as many steps.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    scored = group(_shown_scores(results, any_steps=True), "region", "policy", "task")
+    trainings = {
+        key: {steps: lines for (steps,), lines in group(found, "steps").items()} for key, found in scored.items()
+    }
+    several = {key: by_steps for key, by_steps in trainings.items() if len(by_steps) > 1}
+    columns = sorted({steps for by_steps in several.values() for steps in by_steps})
+    rows = []
+    for (region, policy, task), by_steps in several.items():
+        rates = [_shown(*_cell(by_steps.get(steps, []))) for steps in columns]
+        rows.append([task, region, TITLES[policy], *rates, _chance(by_steps[min(by_steps)], by_steps[max(by_steps)])])
+    tasks = {task for _, _, task in trainings}
+    for region, policy in dict.fromkeys((region, policy) for region, policy, _ in several):
+        of_tasks = [trainings.get((region, policy, task), {}) for task in tasks]
+        means = [
+            _mean([_cell(_longest(by_steps, steps)) for by_steps in of_tasks])
+            if any(steps in by_steps for by_steps in of_tasks)
+            else NOTHING
+            for steps in columns
+        ]
+        rows.append([f"mean of {len(tasks)} tasks", region, TITLES[policy], *(_shown(*mean) for mean in means), "-"])
+    return markdown(["task", "region", "policy", *(f"{steps:,} steps" for steps in columns), "p"], rows)
+
+
+def seeds_table(results: Path) -> str:
+    """Return strict success [%] in worlds that vary of each training of the cells that were trained more than once.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    rows = []
+    for (region, policy, task), found in group(_shown_scores(results), "region", "policy", "task").items():
+        if len(found) > 1:
+            rates = [_shown(*_cell([line])) for line in sorted(found, key=lambda line: line.train_seed)]
+            rows.append([task, region, TITLES[policy], ", ".join(rates)])
+    return markdown(["task", "region", "policy", "each training"], rows)
+
+
+def plain_data_table(results: Path) -> str:
+    """Return strict success [%] in R3 in worlds that vary of policies of plain data, and beside it of varied data.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    plain = _scored(results, DEFAULT_REGION, variant=DEFAULT_VARIANT)
+    varied = group(_scored(results, DEFAULT_REGION), "task", "policy", "num_train_episodes")
+    rows = [
+        [key[0], TITLES[key[1]], _shown(*_cell(found)), _shown(*_cell(varied.get(key, [])))]
+        for key, found in group(plain, "task", "policy", "num_train_episodes").items()
+        if key[2] == SHOWN_EPISODES
+    ]
+    return markdown(["task", "policy", "of plain data", f"of `{VARIED}` data"], rows)
+
+
+def _shown_scores(results: Path, *, any_steps: bool = False) -> list[PolicyResult]:
+    """Return the scores in R3 and R4 of policies of as many episodes of worlds that vary as tables show."""
+    found = [line for region in (DEFAULT_REGION, WIDEST) for line in _scored(results, region, any_steps=any_steps)]
+    return [line for line in found if line.num_train_episodes == SHOWN_EPISODES]
+
+
+def _longest(by_steps: Mapping[int, list[PolicyResult]], steps: int) -> list[PolicyResult]:
+    """Return the lines of the longest training of at most so many steps; none where all are longer."""
+    return by_steps.get(max((found for found in by_steps if found <= steps), default=0), [])
+
+
+def _chance(first: Sequence[PolicyResult], second: Sequence[PolicyResult]) -> str:
+    """Return how likely chance makes such a difference of strict successes; a dash where their data differ in age."""
+    if len({line.stamp for line in (*first, *second)}) > 1:
+        return "-"
+    counts = [
+        [sum(line.successes_strict or 0 for line in lines), sum(line.episodes for line in lines)]
+        for lines in (first, second)
+    ]
+    value = fisher_exact([[successes, episodes - successes] for successes, episodes in counts]).pvalue
+    return "below 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def _scored(results: Path, region: str, *, variant: str = VARIED, any_steps: bool = False) -> list[PolicyResult]:
+    """Return the scores of policies of one kind of data in worlds that vary, by the `cpu` presets, in one region."""
+    wanted = (variant, VARIED, "exact", region, "cpu")
     keys = ("variant", "variation", "perception", "region", "preset")
     lines = latest(read_policies(results / "experiments.jsonl"), any_steps=any_steps)
     return [line for line in lines if tuple(getattr(line, key) for key in keys) == wanted]
@@ -130,19 +218,20 @@ def _with_means(
 ) -> list[list[str]]:
     """Return the cells of a table, a row a task, and the means of those columns that have every task.
 
-    A mean is of an earlier version where one of its cells is.
-
     Args:
         rows: Cells by task.
         beside: What else stands in the row of each task.
     """
     beside = beside or {task: () for task in rows}
     shown = [[task, *(_shown(*cell) for cell in cells), *beside[task]] for task, cells in rows.items()]
-    means = []
-    for column in zip(*rows.values(), strict=True):
-        rates, aged = [rate for rate, _ in column if rate is not None], max(text for _, text in column)
-        means.append(_shown(sum(rates) / len(rates) if len(rates) == len(column) else None, aged))
+    means = [_shown(*_mean(column)) for column in zip(*rows.values(), strict=True)]
     return [*shown, ["mean", *means, *("-" for _ in next(iter(beside.values())))]]
+
+
+def _mean(cells: Sequence[Cell]) -> Cell:
+    """Return the mean of all cells, of an earlier version where one of them is; nothing where one was not measured."""
+    rates = [rate for rate, _ in cells if rate is not None]
+    return (sum(rates) / len(rates), max(text for _, text in cells)) if len(rates) == len(cells) else NOTHING
 
 
 def _shown(rate: float | None, aged: str) -> str:

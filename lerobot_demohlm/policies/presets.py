@@ -50,7 +50,7 @@ _MIN_MAX_STATE_ACTIONS = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "
 _MIN_MAX_STATE = {"normalization_mapping": {"STATE": "MIN_MAX", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}}
 """Diffusion hands its inputs to Mish, which tells numbers far below -1 apart no more: the state does not lie there.
 
-An object's place is measured by deviations all the same, or millimetres of it would be small: docs/policies.md.
+An object's place is measured by deviations all the same, or millimetres of it would be small: docs/trials.md.
 """
 _TO_THE_END = {"drop_n_last_frames": 0, "do_mask_loss_for_padding": True}
 """Diffusion learns the last steps of an episode too, as the other two do, and nothing of what lies behind them."""
@@ -133,7 +133,7 @@ PRESETS: Mapping[tuple[str, str], Preset] = {
             "down_dims": (128, 128, 128),
             "kernel_size": 3,
             "diffusion_step_embed_dim": 128,
-            "prediction_type": "sample",  # noise asks for a longer training: docs/policies.md
+            "prediction_type": "sample",  # noise asks for a longer training: docs/trials.md
             "clip_sample": False,  # actions go beyond +-1 deviation
             "noise_scheduler_type": "DDIM",
             "num_train_timesteps": 2,  # all are made to act: of a hundred, LeRobot's DDIM would begin below full noise

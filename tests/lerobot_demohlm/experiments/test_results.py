@@ -154,6 +154,37 @@ def test_a_page_may_have_tables_of_the_widest_region(tmp_path: Path) -> None:
     assert "| mean | - | 71.0 | 91.0, an earlier version | - |" in varied_tables.widest_table(tmp_path)
 
 
+def test_a_page_may_have_tables_that_compare_trainings(tmp_path: Path) -> None:
+    cell = dataclasses.replace(CELL, num_train_episodes=1000, variant="real", variation="real", steps=8000)
+    for change, successes, others in (
+        ({}, 100, {}),
+        ({"train_seed": 1}, 110, {}),
+        ({"steps": 24000}, 150, {}),
+        ({"task": "PressCube"}, 200, {}),
+        ({"variant": "noise"}, 25, {}),
+        ({"variant": "noise", "variation": "none"}, 250, {}),
+        ({"region": "R4"}, 50, {"stamp": "old"}),
+        ({"region": "R4", "steps": 24000}, 75, {}),
+        ({"region": "R4", "num_train_episodes": 100, "steps": 48000}, 75, {}),
+    ):
+        line = make_line(dataclasses.replace(cell, **change), 250, successes_strict=successes, **others)
+        lines.append(tmp_path / "experiments.jsonl", "demohlm reproduce", line)
+    page = tmp_path / "policies.md"
+    page.write_text("".join(f"<!-- {name} -->\n<!-- /{name} -->\n" for name in ("steps", "seeds", "plain data")))
+    assert readme_tables.update_page(page, tmp_path)
+    assert [line for line in page.read_text().splitlines() if line.startswith("| ")] == [
+        "| task | region | policy | 8,000 steps | 24,000 steps | p |",
+        "| LiftBox | R3 | MLP | 42.0 | 60.0 | below 0.001 |",  # 210 of 500, then 150 of 250
+        "| LiftBox | R4 | MLP | 20.0, an earlier version | 30.0 | - |",
+        "| mean of 2 tasks | R3 | MLP | 61.0 | 70.0 | - |",
+        "| mean of 2 tasks | R4 | MLP | - | - | - |",
+        "| task | region | policy | each training |",
+        "| LiftBox | R3 | MLP | 40.0, 44.0 |",
+        "| task | policy | of plain data | of `real` data |",
+        "| LiftBox | MLP | 10.0 | 42.0 |",
+    ]
+
+
 def test_a_page_may_have_a_table_of_how_policies_see(tmp_path: Path) -> None:
     cell = dataclasses.replace(CELL, num_train_episodes=1000, variant="real")
     for change, successes, others in (
