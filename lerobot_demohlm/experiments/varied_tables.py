@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from scipy.stats import fisher_exact
 
@@ -101,9 +102,9 @@ def steps_table(results: Path) -> str:
     Args:
         results: Folder of JSON lines.
     """
-    scored = group(_shown_scores(results, any_steps=True), "region", "policy", "task")
     trainings = {
-        key: {steps: lines for (steps,), lines in group(found, "steps").items()} for key, found in scored.items()
+        key: {steps: lines for (steps,), lines in group(found, "steps").items()}
+        for key, found in group(_shown_scores(results, any_steps=True), "region", "policy", "task").items()
     }
     several = {key: by_steps for key, by_steps in trainings.items() if len(by_steps) > 1}
     columns = sorted({steps for by_steps in several.values() for steps in by_steps})
@@ -111,16 +112,13 @@ def steps_table(results: Path) -> str:
     for (region, policy, task), by_steps in several.items():
         rates = [_shown(*_cell(by_steps.get(steps, []))) for steps in columns]
         rows.append([task, region, TITLES[policy], *rates, _chance(by_steps[min(by_steps)], by_steps[max(by_steps)])])
-    tasks = {task for _, _, task in trainings}
+    tasks = dict.fromkeys(task for _, _, task in trainings)
     for region, policy in dict.fromkeys((region, policy) for region, policy, _ in several):
         of_tasks = [trainings.get((region, policy, task), {}) for task in tasks]
-        means = [
-            _mean([_cell(_longest(by_steps, steps)) for by_steps in of_tasks])
-            if any(steps in by_steps for by_steps in of_tasks)
-            else NOTHING
-            for steps in columns
-        ]
-        rows.append([f"mean of {len(tasks)} tasks", region, TITLES[policy], *(_shown(*mean) for mean in means), "-"])
+        tried = {steps for by_steps in of_tasks for steps in by_steps}
+        means = [_mean([_cell(_longest(by_steps, steps)) for by_steps in of_tasks]) for steps in columns]
+        shown = [_shown(*mean) if steps in tried else "-" for steps, mean in zip(columns, means, strict=True)]
+        rows.append([f"mean of {len(tasks)} tasks", region, TITLES[policy], *shown, "-"])
     return markdown(["task", "region", "policy", *(f"{steps:,} steps" for steps in columns), "p"], rows)
 
 
@@ -169,12 +167,12 @@ def _chance(first: Sequence[PolicyResult], second: Sequence[PolicyResult]) -> st
     """Return how likely chance makes such a difference of strict successes; a dash where their data differ in age."""
     if len({line.stamp for line in (*first, *second)}) > 1:
         return "-"
-    counts = [
-        [sum(line.successes_strict or 0 for line in lines), sum(line.episodes for line in lines)]
-        for lines in (first, second)
-    ]
-    value = fisher_exact([[successes, episodes - successes] for successes, episodes in counts]).pvalue
-    return "below 0.001" if value < 0.001 else f"{value:.3f}"
+    table = []
+    for lines in (first, second):
+        successes = sum(line.successes_strict or 0 for line in lines)
+        table.append([successes, sum(line.episodes for line in lines) - successes])
+    tested: Any = fisher_exact(table)
+    return "below 0.001" if tested.pvalue < 0.001 else f"{tested.pvalue:.3f}"
 
 
 def _scored(results: Path, region: str, *, variant: str = VARIED, any_steps: bool = False) -> list[PolicyResult]:
