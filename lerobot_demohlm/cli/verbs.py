@@ -166,7 +166,7 @@ VERBS = (
         group="reports",
         help="turn the measured results of this repository into docs/results.md and the README's table",
         example="demohlm results --output docs/results.md "
-        "--readme README.md --pages docs/perception.md docs/policies.md",
+        "--readme README.md --pages docs/perception.md docs/policies.md docs/variation.md",
     ),
     Verb(
         name="benchmark",

@@ -165,6 +165,7 @@ def write_results(output: Path, results: Path) -> bool:
 MARKED: Mapping[str, Callable[[Path], str]] = {
     "results": varied_tables.readme_table,
     "perception": lambda results: perception_counts(read_policies(results / "experiments.jsonl")),
+    "generation": varied_tables.generation_table,
     "widest": varied_tables.widest_table,
     "sizes": varied_tables.sizes_table,
     "steps": varied_tables.steps_table,

@@ -1,6 +1,7 @@
 """Lines of results -> strict success in worlds that vary: the README's table, those of R4, and comparisons."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from scipy.stats import fisher_exact
 from gym_demohlm.task import DEFAULT_REGION, WIDEST
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult, read_generation, read_policies
+from lerobot_demohlm.experiments.plan import REGIONS
 from lerobot_demohlm.experiments.rates import (
     EARLIER,
     TITLES,
@@ -72,6 +74,22 @@ def widest_table(results: Path) -> str:
     """
     rows, _ = _varied(results, WIDEST)
     return markdown(["task", *METHODS], _with_means(rows))
+
+
+def generation_table(results: Path) -> str:
+    """Return strict success [%] of generation by region, in plain worlds and in those that vary: least and mean.
+
+    Args:
+        results: Folder of JSON lines.
+    """
+    rows = []
+    for variation, region in product(("none", VARIED), (*REGIONS, WIDEST)):
+        made = _attempted(results, region, variation)
+        cells = {task: (rate, age(line)) for task, line in made.items() if (rate := line.strict_rate) is not None}
+        if cells:
+            least, mean = min(cells.values()), _mean(list(cells.values()))
+            rows.append([f"`{variation}`", region, str(len(cells)), _shown(*least), _shown(*mean)])
+    return markdown(["worlds", "region", "tasks", "least", "mean"], rows)
 
 
 def sizes_table(results: Path) -> str:

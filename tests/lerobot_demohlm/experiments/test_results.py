@@ -154,6 +154,22 @@ def test_a_page_may_have_tables_of_the_widest_region(tmp_path: Path) -> None:
     assert "| mean | - | 71.0 | 91.0, an earlier version | - |" in varied_tables.widest_table(tmp_path)
 
 
+def test_a_page_may_have_a_table_of_generation_by_region(tmp_path: Path) -> None:
+    made = GenerationResult(task="LiftBox", region="R3", attempts=250, successes=250, stamp=stamp("LiftBox"))
+    for change in (
+        {"strict_successes": 200},
+        {"strict_successes": 240, "task": "PressCube", "stamp": stamp("PressCube")},
+        {"strict_successes": 100, "command_noise": 1.0},
+        {"region": "R1"},  # from before strict success was judged
+        {"strict_successes": 150, "region": "R4", "variation": "real", "stamp": "old"},
+    ):
+        lines.append(tmp_path / "generation.jsonl", "demohlm reproduce", dataclasses.replace(made, **change))
+    assert varied_tables.generation_table(tmp_path).splitlines()[2:] == [
+        "| `none` | R3 | 2 | 80.0 | 88.0 |",
+        "| `real` | R4 | 1 | 60.0, an earlier version | 60.0, an earlier version |",
+    ]
+
+
 def test_a_page_may_have_tables_that_compare_trainings(tmp_path: Path) -> None:
     cell = dataclasses.replace(CELL, num_train_episodes=1000, variant="real", variation="real", steps=8000)
     for change, successes, others in (
@@ -283,7 +299,7 @@ def test_the_committed_results_are_what_is_shown(tmp_path: Path) -> None:
     page = REPOSITORY / "docs" / "results.md"
     shown = readme_tables.results_page(REPOSITORY / "results")
     assert page.read_text() == shown, "run: demohlm results --output docs/results.md"
-    for name in ("README.md", "docs/perception.md", "docs/policies.md"):
+    for name in ("README.md", "docs/perception.md", "docs/policies.md", "docs/variation.md"):
         copy = tmp_path / "page.md"
         copy.write_text((REPOSITORY / name).read_text())
         assert not readme_tables.update_page(copy, REPOSITORY / "results"), f"run: demohlm results --pages {name}"
