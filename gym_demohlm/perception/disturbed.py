@@ -73,31 +73,39 @@ class DisturbedPerceiver:
         """Look through the other perceiver, and tell what is old, off or nothing new."""
         now = self._source.observe(sim, rows)
         T_world_camera = sim.pose("head_camera")[rows]
-        told = []
-        for place, row in enumerate(rows):
-            world = self._worlds[row]
-            if world is None:
-                self.begin(np.array([row]), [int(row)])
-                world = self._worlds[row]
-                assert world is not None
+        worlds, lost = [self._world(int(row)) for row in rows], []
+        turns, shifts = np.zeros((*now.valid.shape, 3, 3)), np.zeros((*now.valid.shape, 3))
+        for place, world in enumerate(worlds):
             if world.bias is None:
                 world.bias = _draw_bias(world.rng, now.valid.shape[1], world.disturbance.bias_mm)
-            lost = world.rng.random() < world.disturbance.dropout
-            turn, shift = world.bias
-            T = now.T_camera_object[place]
-            T_world_object = T_world_camera[place] @ poses.from_rotation(turn @ T[:, :3, :3], T[:, :3, 3] + shift)
-            new = T_world_object, now.valid[place], now.age_s[place], now.inliers[place]
-            if lost and world.seen:
+            turns[place], shifts[place] = world.bias
+            lost.append(world.rng.random() < world.disturbance.dropout)
+        T = now.T_camera_object
+        biased = poses.from_rotation(turns @ T[..., :3, :3], T[..., :3, 3] + shifts)
+        T_world_objects = T_world_camera[:, None] @ biased
+        told = []
+        for place, world in enumerate(worlds):
+            new = T_world_objects[place], now.valid[place], now.age_s[place], now.inliers[place]
+            if lost[place] and world.seen:
                 T, valid, age, inliers = world.seen[-1]
                 new = T, np.zeros_like(valid), age + STEP_DT, inliers
             world.seen.append(new)
             if len(world.seen) > round(world.disturbance.latency_s / STEP_DT) + 1:
                 world.seen.popleft()
             T, valid, age, inliers = world.seen[0]
-            waited = STEP_DT * (len(world.seen) - 1)
-            told.append((poses.invert(T_world_camera[place]) @ T, valid, age + waited, inliers))
+            told.append((T, valid, age + STEP_DT * (len(world.seen) - 1), inliers))
         T, valid, age, inliers = (np.stack(column) for column in zip(*told, strict=True))
-        return PoseEstimate(T_camera_object=T, valid=valid, age_s=age, inliers=inliers)
+        T_camera_objects = poses.invert(T_world_camera)[:, None] @ T
+        return PoseEstimate(T_camera_object=T_camera_objects, valid=valid, age_s=age, inliers=inliers)
+
+    def _world(self, row: int) -> _World:
+        """Return what is remembered of a world, whose episode begins where it has not."""
+        world = self._worlds[row]
+        if world is None:
+            self.begin(np.array([row]), [row])
+            world = self._worlds[row]
+            assert world is not None
+        return world
 
     def faults(self, row: int) -> dict[str, int]:
         """Return what went wrong with the other perceiver in the episode of a world."""

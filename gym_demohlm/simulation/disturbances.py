@@ -4,6 +4,8 @@ Nothing is remembered: noise is a function of the world's seed and the number of
 goes on from a snapshot, alone or among others, gets the same.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from gym_demohlm.control.proprioception import Proprioception
@@ -31,6 +33,8 @@ class Disturbances:
     def __init__(self, num_worlds: int) -> None:
         self.delay_steps = np.zeros(num_worlds, dtype=np.int64)
         self._seeds = np.zeros(num_worlds, dtype=np.int64)
+        self._philox = np.random.Philox(key=0)
+        self._generator, self._state = np.random.Generator(self._philox), self._philox.state
         self._noise = np.zeros((num_worlds, 4))  # of encoders [rad], speeds [rad/s], gyroscope [rad/s], gravity [rad]
         self._bias = np.zeros((num_worlds, _JOINTS))
         self._push_ticks = np.full((num_worlds, MOST_PUSHES), _NEVER)
@@ -43,7 +47,7 @@ class Disturbances:
         self._noise[world] = [number(f"robot.{name}", plain=0.0) for name in ("encoder", "speed", "gyro", "gravity")]
         self.delay_steps[world] = round(number("robot.delay", plain=0.0) / PHYSICS_DT)
         bias = number("robot.encoder_bias", plain=0.0)
-        self._bias[world] = bias * self._uniform(world, _BIAS_TICK, _JOINTS) if bias > 0.0 else 0.0
+        self._bias[world] = bias * self._uniform([world], [_BIAS_TICK], _JOINTS)[0] if bias > 0.0 else 0.0
         pauses, velocities = conditions.numbers("pushes.pause"), conditions.numbers("pushes.velocity")
         self._push_ticks[world], self._pushes[world] = _NEVER, 0.0
         if pauses is not None and velocities is not None:
@@ -63,27 +67,31 @@ class Disturbances:
     def sense(self, sensed: Proprioception, worlds: np.ndarray, ticks: np.ndarray) -> Proprioception:
         """Return what n robots sense where ``sensed`` is the truth; arguments as ``push``."""
         quat, gyro, q, dq = sensed.quat_wxyz.copy(), sensed.gyro.copy(), sensed.q.copy(), sensed.dq.copy()
-        for index, (world, tick) in enumerate(zip(worlds, ticks, strict=True)):
-            encoder, speed, turn, tilt = self._noise[world]
-            q[index] += self._bias[world]
-            if not self._noise[world].any():
-                continue
-            noise = self._uniform(int(world), int(tick), 2 * _JOINTS + 5)
-            q[index] += encoder * noise[:_JOINTS]
-            dq[index] += speed * noise[_JOINTS : 2 * _JOINTS]
-            gyro[index] += turn * noise[-5:-2]
-            quat[index] = _tilted(quat[index], *(tilt * noise[-2:]))
+        q += self._bias[worlds]
+        noisy = self._noise[worlds].any(axis=1)
+        if noisy.any():
+            encoder, speed, turn, tilt = self._noise[worlds[noisy], :, None].swapaxes(0, 1)
+            noise = self._uniform(worlds[noisy], ticks[noisy], 2 * _JOINTS + 5)
+            q[noisy] += encoder * noise[:, :_JOINTS]
+            dq[noisy] += speed * noise[:, _JOINTS : 2 * _JOINTS]
+            gyro[noisy] += turn * noise[:, -5:-2]
+            quat[noisy] = _tilted(quat[noisy], tilt * noise[:, -2:])
         return Proprioception(quat_wxyz=quat, gyro=gyro, q=q, dq=dq)
 
-    def _uniform(self, world: int, tick: int, count: int) -> np.ndarray:
-        """Return numbers (count,) from -1 to 1, a function of the world's seed and the tick."""
-        generator = np.random.Generator(np.random.Philox(key=int(self._seeds[world]), counter=[0, 0, 0, tick]))
-        return 2.0 * generator.random(count) - 1.0
+    def _uniform(self, worlds: Iterable[int], ticks: Iterable[int], count: int) -> np.ndarray:
+        """Return numbers (n, count) from -1 to 1, a function of each world's seed and its tick."""
+        drawn = []
+        for world, tick in zip(worlds, ticks, strict=True):
+            # One generator that is set anew: one for each world and tick would take twice the time.
+            self._state["state"]["key"][0], self._state["state"]["counter"][3] = self._seeds[world], tick
+            self._philox.state = self._state
+            drawn.append(self._generator.random(count))
+        return 2.0 * np.array(drawn) - 1.0
 
 
-def _tilted(quat: np.ndarray, roll: float, pitch: float) -> np.ndarray:
-    """Return an orientation (4,) wxyz turned by small angles about its own x and y axes [rad]."""
-    w, x, y, z = quat
-    a, b = roll / 2, pitch / 2
-    turned = np.array([w - x * a - y * b, x + w * a - z * b, y + w * b + z * a, z + x * b - y * a])
-    return turned / np.sqrt((turned**2).sum())
+def _tilted(quat: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Return orientations (n, 4) wxyz turned by small angles (n, 2) about their own x and y axes [rad]."""
+    w, x, y, z = quat.T
+    a, b = tilt.T / 2
+    turned = np.stack([w - x * a - y * b, x + w * a - z * b, y + w * b + z * a, z + x * b - y * a], axis=1)
+    return turned / np.sqrt((turned**2).sum(axis=1, keepdims=True))

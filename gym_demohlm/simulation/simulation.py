@@ -237,7 +237,9 @@ class Simulation(Worlds):
 
     def _is_clear(self, row: int) -> bool:
         """Return whether no part of a world's robot is inside another one."""
-        contacts, root = self.mj_data(row).contact, self.model.body_rootid[self.model.body("pelvis").id]
+        self._load(row)
+        mujoco.mj_fwdPosition(self.model, self._scratch)  # with the plain world's shapes: the robot has no others
+        contacts, root = self._scratch.contact, self.model.body_rootid[self.model.body("pelvis").id]
         robot = self.model.body_rootid[self.model.geom_bodyid[contacts.geom]] == root
         return not (robot.all(axis=1) & (contacts.dist < 0.0)).any()
 

@@ -7,12 +7,16 @@ as LeRobot datasets. What a worker does once is not: compiling the scene, loadin
 import resource
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gym_demohlm.simulation import Simulation, make_pool
+import numpy as np
+
+from gym_demohlm.simulation import Pool, Simulation, make_pool
 from gym_demohlm.task import Task
 from gym_demohlm.timing import PHYSICS_DT
+from gym_demohlm.variation import get_variation
 from lerobot_demohlm.benchmarks.stopwatch import Stopwatch
 from lerobot_demohlm.checks import portability
 from lerobot_demohlm.datasets.variation import PLAIN
@@ -21,6 +25,8 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.request import BLOCK_SIZE
 from lerobot_demohlm.generation.stages import Settings
+
+TURN = BLOCK_SIZE  # attempts under one variation, before the others have their turn
 
 
 def measure(
@@ -81,6 +87,82 @@ def measure(
         "episodes_per_hour_per_core": round(3600.0 * successes / total, 1),
         "rss_growth_mb": round(_peak_mb() - after_first, 1),
     }
+
+
+def compare(
+    task: Task,
+    region: str,
+    seed: int,
+    num_attempts: int,
+    variation: str,
+    demonstration: Path | None = None,
+    controller: str | None = None,
+) -> dict[str, Any]:
+    """Make attempts in worlds that vary and in plain ones, in turns, and return how fast both are.
+
+    Speed is physics steps a second of CPU time. All that an attempt does is counted, also making its world's model, but
+    not writing its episode.
+
+    Args:
+        task: The task.
+        region: Initial region.
+        seed: Of the run.
+        num_attempts: How many of each, 1 or more.
+        variation: How worlds vary.
+        demonstration: Directory of the demonstration; the packaged one by default.
+        controller: Name, path or hash of the whole-body controller; the default one by default.
+
+    Raises:
+        UnknownNameError: No such variation.
+    """
+    loaded = demonstrations.load(demonstration, task)
+    sides = {}
+    for side, worlds in (("varied", variation), ("plain", "none")):
+        pool = _Counter(make_pool(1))
+        sim = Simulation(task.at(region), TURN, 1, controller, pool, get_variation(worlds))
+        settings = Settings(variation=replace(PLAIN, variation=worlds))
+        sides[side] = pool, Attempts(task, loaded, region, seed, settings=settings, sim=sim)
+    for pool, attempts in sides.values():
+        attempts.run([0])  # it loads what is loaded once
+        pool.steps = 0
+    seconds, successes = dict.fromkeys(sides, 0.0), dict.fromkeys(sides, 0)
+    for first in range(0, num_attempts, TURN):
+        for side, (_, attempts) in sides.items():
+            began = time.process_time()
+            episodes = attempts.run(range(first, min(first + TURN, num_attempts)))
+            seconds[side] += time.process_time() - began
+            successes[side] += sum(episode.outcome == "success" for episode in episodes)
+    speeds = {side: pool.steps / seconds[side] for side, (pool, _) in sides.items()}
+    for _, attempts in sides.values():
+        attempts.close()
+    return {
+        "task": task.name,
+        "region": region,
+        "seed": seed,
+        "stamp": portability.stamp(task),
+        "variation": variation,
+        "attempts": num_attempts,
+        "successes": successes["varied"],
+        "plain_successes": successes["plain"],
+        "steps_per_s": round(speeds["varied"]),
+        "plain_steps_per_s": round(speeds["plain"]),
+        "speed": round(speeds["varied"] / speeds["plain"], 4),
+    }
+
+
+class _Counter:
+    """Passes rollouts on to a pool and counts their steps."""
+
+    def __init__(self, pool: Pool) -> None:
+        self.pool = pool
+        self.steps = 0
+
+    def rollout(self, models: Any, data: Any, initial: np.ndarray, control: np.ndarray, **options: Any) -> None:  # noqa: ANN401
+        self.steps += control.shape[0] * control.shape[1]  # worlds, steps of each
+        self.pool.rollout(models, data, initial, control, **options)
+
+    def close(self) -> None:
+        self.pool.close()
 
 
 def _peak_mb() -> float:

@@ -183,7 +183,7 @@ VERBS = (
     Verb(
         name="benchmark generation",
         group="benchmarks",
-        help="measure the CPU time of attempts, where it goes, and the episodes an hour and core",
+        help="measure the CPU time of attempts and where it goes, or their speed in worlds that vary and in plain ones",
         example="demohlm benchmark generation --task LiftBox --region R2 --num-attempts 16",
     ),
     Verb(

@@ -40,6 +40,22 @@ def _time(lines: Sequence[Measurement]) -> str:
     return "**Time to generate**, and where it goes\n\n" + markdown(header, rows)
 
 
+def _varied_speed(lines: Sequence[Measurement]) -> str:
+    rows = [
+        [
+            line["task"] + _unstamped(line),
+            line["region"],
+            f"{line['plain_steps_per_s']:,}",
+            f"{line['steps_per_s']:,}",
+            f"{100 * line['speed']:.0f} %",
+        ]
+        for line in newest(lines, "task", "region", "variation")
+    ]
+    header = ["task", "region", "plain", "`real`", "`real` against plain"]
+    title = "**Speed of generation in worlds that vary by `real`**: physics steps a second of CPU time, both in one run"
+    return f"{title}\n\n{markdown(header, rows)}"
+
+
 def _rate(ours: str, theirs: str, ratio: str) -> Callable[[Measurement], tuple[str, str, str]]:
     """Return what picks a rate, the one beside it and their ratio from a line."""
     return lambda line: (f"{line[ours]:,}", f"{line[theirs]:,}", f"{line[ratio]:g}")
@@ -150,6 +166,7 @@ def _lint(lines: Sequence[Measurement]) -> str:
 MEASURED: tuple[tuple[str, str, Callable[[Sequence[Measurement]], str]], ...] = (
     ("lint.jsonl", "Checks of the tasks", _lint),
     ("variation.jsonl", "Worlds that vary", variation_table),
+    ("varied_speed.jsonl", "Speed in worlds that vary", _varied_speed),
     ("feedback.jsonl", "What the closed loop is worth", feedback_table),
     ("tracking.jsonl", "Seen objects", tracking_table),
     ("perception.jsonl", "Fitted errors of seen objects", fit_table),

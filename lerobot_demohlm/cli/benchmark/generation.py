@@ -21,6 +21,7 @@ class Options:
         num_attempts: Attempts.
         demonstration: Directory of the demonstration.
         controller: Name of a controller, path of its weights, or the first eight or more digits of their hash.
+        variation: How worlds vary. With one other than none, its speed is compared with that of plain worlds.
     """
 
     task: str = "LiftBox"
@@ -29,6 +30,7 @@ class Options:
     num_attempts: int = 16
     demonstration: Annotated[Path | None, default("the packaged one")] = None
     controller: str = "default"
+    variation: str = "none"
 
 
 def run(options: Options) -> None:
@@ -38,10 +40,11 @@ def run(options: Options) -> None:
         DatasetError: The number of attempts is not positive.
     """
     from gym_demohlm.registry import get_task
-    from lerobot_demohlm.benchmarks.generation import measure
+    from lerobot_demohlm.benchmarks.generation import compare, measure
 
     if options.num_attempts < 1:
         raise DatasetError(f"num_attempts={options.num_attempts}", "1 or more", "correct --num-attempts")
-    task = get_task(options.task)
-    found = measure(task, options.region, options.seed, options.num_attempts, options.demonstration, options.controller)
+    asked = (get_task(options.task), options.region, options.seed, options.num_attempts)
+    given = {"demonstration": options.demonstration, "controller": options.controller}
+    found = measure(*asked, **given) if options.variation == "none" else compare(*asked, options.variation, **given)
     print(json.dumps(found))

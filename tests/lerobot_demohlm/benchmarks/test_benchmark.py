@@ -109,6 +109,15 @@ def test_benchmark_of_generation_accounts_for_all_time(capsys: pytest.CaptureFix
     assert cli.main([*call[:-1], "0"]) == 2
 
 
+def test_benchmark_of_generation_compares_worlds_that_vary_with_plain_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    call = ["benchmark", "generation", "--task", "PressCube", "--region", "R1", "--num-attempts", "1"]
+    assert cli.main([*call, "--variation", "real"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["variation"] == "real" and found["attempts"] == found["plain_successes"] == 1
+    assert found["speed"] == pytest.approx(found["steps_per_s"] / found["plain_steps_per_s"], rel=1e-3)
+    assert cli.main([*call, "--variation", "rael"]) == 2
+
+
 def test_writing_is_five_times_as_fast_as_lerobots() -> None:
     found = dataset.measure_speed(rounds=1)  # raises where a column, statistic or entry differs
     assert found["write_speedup"] >= 5.0
