@@ -81,6 +81,15 @@ def test_a_world_has_the_same_bits_alone_and_among_others_and_from_a_snapshot() 
     together.close()
 
 
+def test_a_reset_compiles_no_model_for_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes as long as a tenth of an attempt."""
+    sim = varied("real")
+    monkeypatch.setattr(sim.scene, "shapes", lambda _: pytest.fail("drawn"))
+    sim.reset([sim.vary(START)])
+    run(sim)
+    sim.close()
+
+
 def test_conditions_are_a_function_of_task_and_start() -> None:
     sim, other = varied("real"), Simulation(get_task("PressCube"), variation=get_variation("real"))
     first = sim.vary(START)
