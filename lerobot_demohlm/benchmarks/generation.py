@@ -1,5 +1,7 @@
 """Attempts at a task on one core -> CPU seconds an attempt, where they go, and episodes an hour and core.
 
+Or attempts in worlds that vary and in plain ones -> how fast each kind of world is.
+
 All that a worker does is counted: commands, inverse kinematics, controller, physics, judging, and writing the successes
 as LeRobot datasets. What a worker does once is not: compiling the scene, loading demonstration and compiled kernels.
 """
@@ -25,8 +27,6 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.request import BLOCK_SIZE
 from lerobot_demohlm.generation.stages import Settings
-
-TURN = BLOCK_SIZE  # attempts under one variation, before the others have their turn
 
 
 def measure(
@@ -98,7 +98,7 @@ def compare(
     demonstration: Path | None = None,
     controller: str | None = None,
 ) -> dict[str, Any]:
-    """Make attempts in worlds that vary and in plain ones, in turns, and return how fast both are.
+    """Make attempts in worlds that vary and in plain ones, in turns of a block, and return how fast both are.
 
     Speed is physics steps a second of CPU time. All that an attempt does is counted, also making its world's model, but
     not writing its episode.
@@ -119,17 +119,17 @@ def compare(
     sides = {}
     for side, worlds in (("varied", variation), ("plain", "none")):
         pool = _Counter(make_pool(1))
-        sim = Simulation(task.at(region), TURN, 1, controller, pool, get_variation(worlds))
+        sim = Simulation(task.at(region), BLOCK_SIZE, 1, controller, pool, get_variation(worlds))
         settings = Settings(variation=replace(PLAIN, variation=worlds))
         sides[side] = pool, Attempts(task, loaded, region, seed, settings=settings, sim=sim)
     for pool, attempts in sides.values():
         attempts.run([0])  # it loads what is loaded once
         pool.steps = 0
     seconds, successes = dict.fromkeys(sides, 0.0), dict.fromkeys(sides, 0)
-    for first in range(0, num_attempts, TURN):
+    for first in range(0, num_attempts, BLOCK_SIZE):
         for side, (_, attempts) in sides.items():
             began = time.process_time()
-            episodes = attempts.run(range(first, min(first + TURN, num_attempts)))
+            episodes = attempts.run(range(first, min(first + BLOCK_SIZE, num_attempts)))
             seconds[side] += time.process_time() - began
             successes[side] += sum(episode.outcome == "success" for episode in episodes)
     speeds = {side: pool.steps / seconds[side] for side, (pool, _) in sides.items()}

@@ -45,14 +45,15 @@ def _varied_speed(lines: Sequence[Measurement]) -> str:
         [
             line["task"] + _unstamped(line),
             line["region"],
+            f"`{line['variation']}`",
             f"{line['plain_steps_per_s']:,}",
             f"{line['steps_per_s']:,}",
             f"{100 * line['speed']:.0f} %",
         ]
         for line in newest(lines, "task", "region", "variation")
     ]
-    header = ["task", "region", "plain", "`real`", "`real` against plain"]
-    title = "**Speed of generation in worlds that vary by `real`**: physics steps a second of CPU time, both in one run"
+    header = ["task", "region", "worlds", "plain", "varied", "varied against plain"]
+    title = "**Speed of generation in worlds that vary**: physics steps a second of CPU time, both in one run"
     return f"{title}\n\n{markdown(header, rows)}"
 
 

@@ -177,7 +177,7 @@ def _shown_scores(results: Path, *, any_steps: bool = False) -> list[PolicyResul
 
 
 def _longest(by_steps: Mapping[int, list[PolicyResult]], steps: int) -> list[PolicyResult]:
-    """Return the lines of the longest training of at most so many steps; none where all are longer."""
+    """Return the lines of the longest training that has at most these steps; an empty list where each has more."""
     return by_steps.get(max((found for found in by_steps if found <= steps), default=0), [])
 
 
