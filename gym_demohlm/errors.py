@@ -55,5 +55,9 @@ class DatasetError(DemoHLMError):
     """A dataset root that exists already, is damaged, or was written by another version."""
 
 
+class NoSuccessError(DatasetError):
+    """A generation run that has come to its end without a success, so that there is nothing to make a dataset of."""
+
+
 class PolicyError(DemoHLMError):
     """A policy checkpoint or configuration that does not fit the environment."""

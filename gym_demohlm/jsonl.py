@@ -124,10 +124,31 @@ def append(path: Path, lines: Iterable[Mapping[str, Any]]) -> None:
             file.flush()
 
 
-def cut_torn_line(path: Path) -> None:
-    """Cut off a last line without its end, which a process that was killed while it wrote leaves."""
-    content = Path(path).read_bytes()
+def resume[T](kind: type[T], path: Path) -> list[T]:
+    """Return the lines of a file that a process may have left when it was killed, and cut off one without its end.
+
+    Args:
+        kind: The dataclass that each line holds.
+        path: The file. It is changed only where what it holds is such lines.
+
+    Raises:
+        DatasetError: As ``read_as``, or all that it holds is the beginning of something else.
+    """
+    path = Path(path)
+    content = path.read_bytes()
     whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with Path(path).open("r+b") as file:
+    found = [
+        parse(kind, _object(text, f"{path}:{number}"), f"{path}:{number}")
+        for number, text in enumerate(content[:whole].decode(errors="replace").split("\n")[:-1], start=1)
+    ]
+    torn, begins = content[whole:], f'{{"{dataclasses.fields(kind)[0].name}": '.encode()  # pyright: ignore[reportArgumentType]
+    if torn:
+        if not found and not (torn.startswith(begins) or begins.startswith(torn)):
+            got, expected = (
+                f"{path} with {torn[:40].decode(errors='replace')}",
+                f"lines that hold a {kind.__name__} each",
+            )
+            raise DatasetError(got, expected, "check the path")
+        with path.open("r+b") as file:
             file.truncate(whole)
+    return found

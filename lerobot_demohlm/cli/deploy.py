@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -81,8 +82,7 @@ def run(options: Options) -> None:
         tags=options.tags,
         camera=options.camera or "",
     )
-    _prepare(options)
-    with Deployment(settings) as deployment:
+    with Deployment(settings, _release(options)) as deployment:
         pad = None if options.gamepad is None else Gamepad(options.gamepad, deployment.request, deployment.estop)
         try:
             _operate(options, deployment)
@@ -93,8 +93,8 @@ def run(options: Options) -> None:
     print(json.dumps(ended))
 
 
-def _prepare(options: Options) -> None:
-    """Ask the robot which controller of its own runs, and release it where that was asked for.
+def _release(options: Options) -> Callable[[], None]:
+    """Ask the robot which controller of its own runs; returns what releases it, which leaves the joints limp.
 
     Raises:
         RobotError: One runs and was not to be released, or the robot does not answer.
@@ -109,8 +109,7 @@ def _prepare(options: Options) -> None:
         raise RobotError(
             f"the robot's own controller {name!r}", "none at work", "hang the robot in its gantry and give --release"
         )
-    if name:
-        switcher.release()
+    return switcher.release if name else lambda: None
 
 
 def _operate(options: Options, deployment: "Deployment") -> None:

@@ -11,7 +11,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.simulation.judge import OUTCOMES
-from gym_demohlm.timing import STEP_DT
+from gym_demohlm.timing import FPS, STEP_DT
 from gym_demohlm.variation import Conditions
 from lerobot_demohlm.reproducibility.fingerprint import FIELDS
 
@@ -109,6 +109,28 @@ class Episode:
             "retries": self.retries,
             "success_strict": self.success_strict,
         }
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any], **rest: Any) -> "Episode":  # noqa: ANN401
+        """Return the attempt whose line ``record`` gave.
+
+        Args:
+            record: The line.
+            rest: What no line has: task, seed and region of the run, and arrays.
+        """
+        return cls(
+            index=record["attempt"],
+            outcome=record["outcome"],
+            stage=record["stage"],
+            reason=record["reason"],
+            length_s=record["length_s"],
+            stage_ticks={stage: round(seconds * FPS) for stage, seconds in record["stage_s"].items()},
+            initial_state=record["initial_state"],
+            digest=record["digest"],
+            retries=record.get("retries", 0),
+            success_strict=record.get("success_strict", False),
+            **rest,
+        )
 
     def labels(self) -> dict[str, Any]:
         """Return what the episode's row of ``meta/episodes`` says beside what LeRobot writes there."""

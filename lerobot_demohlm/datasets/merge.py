@@ -20,7 +20,6 @@ from lerobot.datasets.utils import DEFAULT_CHUNK_SIZE
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 
 from gym_demohlm.errors import DatasetError
-from gym_demohlm.timing import FPS
 from lerobot_demohlm.datasets import videos
 from lerobot_demohlm.datasets.episode import Episode, executed_of
 from lerobot_demohlm.datasets.facts import GenerationFacts
@@ -36,24 +35,17 @@ def first_episodes(source: Path, root: Path, records: Sequence[dict[str, Any]], 
     """Write the first episodes of a dataset again, as many as there are records."""
     labels = pq.read_table(source / episodes_file(0)).to_pylist()
     episodes = [
-        Episode(
+        Episode.of_record(
+            record,
             task=facts.task,
             task_text=label["tasks"][0],
-            index=record["attempt"],
             seed=facts.seed,
             region=facts.region,
-            outcome=record["outcome"],
-            stage=record["stage"],
             state=arrays[OBS_STATE],
             environment_state=arrays[OBS_ENV_STATE],
             action=arrays[ACTION],
             success=arrays[NEXT_SUCCESS],
-            initial_state=record["initial_state"],
-            length_s=record["length_s"],
-            reason=record["reason"],
-            stage_ticks={stage: round(seconds * FPS) for stage, seconds in record["stage_s"].items()},
             fingerprints=fingerprint.from_bytes(label["fingerprints"]),
-            digest=record["digest"],
             executed=executed_of(label, record["frames"]),
         )
         for record, arrays, label in zip(records, read_arrays(source), labels, strict=False)

@@ -14,6 +14,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, roll_batches
+from lerobot_demohlm.reproducibility import provenance
 
 FIRST_SEED = 1_000_000
 """Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: no start is shared."""
@@ -57,6 +58,8 @@ def evaluate(
         "variation": setting.variation,
         "policy": loaded.kind,
         "policy_hash": loaded.hash,
+        "controller": provenance.controller_hash(setting.controller),
+        "code": provenance.code_hash(),
     }
     setting = setting.limited(len(seeds))  # of all seeds, so that a resumed batch is as wide as it was
     found = {rollout.seed: rollout for rollout in resumed_rollouts(output, header)}
@@ -116,14 +119,11 @@ def resumed_rollouts(path: Path, header: Mapping[str, Any]) -> list[Rollout]:
         header: What every rollout must say, by field.
 
     Raises:
-        DatasetError: A rollout says something else, or the file holds no rollouts.
+        DatasetError: A rollout says something else, or the file holds something else, which is left as it is.
     """
     if not path.exists():
         return []
-    jsonl.cut_torn_line(path)
-    if not path.stat().st_size:
-        return []
-    rollouts = read_rollouts(path)
+    rollouts = jsonl.resume(Rollout, path)
     for rollout in rollouts:
         for key, value in header.items():
             if getattr(rollout, key) != value:

@@ -13,7 +13,7 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from lerobot_demohlm.evaluation.evaluate import evaluate, summarize
+from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, summarize
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting
 from lerobot_demohlm.evaluation.scoring import SEEDS_A_CELL, first_seed
@@ -86,27 +86,40 @@ def run(
             "num_train_episodes": loaded.num_train_episodes,
             "starts": "scoring: seeds that no training, tuning, test or preset uses",
             "cells": cells,
-            "score": round(sum(cell["successes"] for cell in cells) / sum(cell["episodes"] for cell in cells), 4),
+            "score": _score(cells),
             "commit": commit(),
             "code_hash": provenance.code_hash(),
             "versions": provenance.bit_versions(),
         }
     )
     (output / CARD).write_text(card(result))
-    (output / RESULT).write_text(json.dumps(result, indent=2) + "\n")
+    written = output / f"{RESULT}.tmp"
+    written.write_text(json.dumps(result, indent=2) + "\n")
+    written.rename(output / RESULT)  # so that a result that is there is whole
     return result
 
 
+def _score(cells: Sequence[Mapping[str, Any]]) -> float:
+    return round(sum(cell["successes"] for cell in cells) / sum(cell["episodes"] for cell in cells), 4)
+
+
 def _cell(region: str, variation: str, seed: int, rollouts: Sequence[Rollout], path: Path) -> dict[str, Any]:
-    summary = summarize(rollouts)
     return {
         "region": region,
         "variation": variation,
         "first_seed": seed,
+        **_counts(rollouts),
+        "rollouts_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
+
+
+def _counts(rollouts: Sequence[Rollout]) -> dict[str, Any]:
+    """Return what of a cell its rollouts say."""
+    summary = summarize(rollouts)
+    return {
         "episodes": len(rollouts),
         "successes": sum(bool(rollout.success_strict) for rollout in rollouts),
         **{name: summary[name] for name in ("success_strict", "success_held", "outcomes")},
-        "rollouts_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
     }
 
 
@@ -122,8 +135,12 @@ def _digest(content: Mapping[str, Any]) -> str:
 def read(path: Path) -> dict[str, Any]:
     """Read a result file and check that it is as it was written, its rollouts with it where they are beside it.
 
+    Nobody can see who signed it: who edits a file can sign it again. So its numbers are checked against each other,
+    and against the rollouts.
+
     Raises:
-        DatasetError: It is missing, no result of this benchmark, of another version, or was edited.
+        DatasetError: It is missing, no result of this benchmark, of another version, was edited, or its numbers do not
+            follow from each other, from the protocol or from the rollouts.
     """
     try:
         content = json.loads(Path(path).read_text())
@@ -142,11 +159,42 @@ def read(path: Path) -> dict[str, Any]:
             f"{str(signed)[:12]}, which it was written with: it was edited",
             "measure the policy again",
         )
-    for cell in content["cells"]:
-        rollouts = Path(path).parent / f"rollouts_{cell['region'].lower()}_{cell['variation']}.jsonl"
-        if rollouts.exists() and hashlib.sha256(rollouts.read_bytes()).hexdigest() != cell["rollouts_sha256"]:
-            raise DatasetError(f"{rollouts}, edited", "the rollouts of the result", "measure the policy again")
+    try:
+        _require_consistent(Path(path), content)
+    except (KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
+        raise DatasetError(f"{path}, damaged ({error!r})", "a result as it was written", "measure it again") from error
     return {**content, "sha256": signed}
+
+
+def _require_consistent(path: Path, content: Mapping[str, Any]) -> None:
+    """Raise ``DatasetError`` where numbers do not follow from each other, from the protocol or from the rollouts."""
+    cells, protocol = content["cells"], json.loads(json.dumps(asdict(PROTOCOL)))
+    counts = {cell["episodes"] for cell in cells}
+    if [[cell["region"], cell["variation"]] for cell in cells] != protocol["cells"] or len(counts) != 1:
+        raise DatasetError(f"{path} with other settings", "those of the protocol", "measure the policy again")
+    if content["protocol"] != protocol or (content["official"] and counts != {PROTOCOL.episodes}):
+        raise DatasetError(f"{path} with another protocol", f"version {PROTOCOL.version}", "measure the policy again")
+    if content["score"] != _score(cells):
+        raise DatasetError(
+            f"{path} with the score {content['score']}", f"{_score(cells)}, by its cells", "measure the policy again"
+        )
+    for cell in cells:
+        if cell["first_seed"] != first_seed(content["task"], cell["region"]):
+            raise DatasetError(f"{path} with other starts", "those of the protocol", "measure the policy again")
+        file = path.parent / f"rollouts_{cell['region'].lower()}_{cell['variation']}.jsonl"
+        if not file.exists():
+            continue
+        if hashlib.sha256(file.read_bytes()).hexdigest() != cell["rollouts_sha256"]:
+            raise DatasetError(f"{file}, edited", "the rollouts of the result", "measure the policy again")
+        found = read_rollouts(file)
+        wrong = [name for name, value in _counts(found).items() if json.loads(json.dumps(value)) != cell[name]]
+        begin = cell["first_seed"]
+        if [rollout.seed for rollout in found] != list(range(begin, begin + cell["episodes"])):
+            wrong.append("first_seed")
+        if {(rollout.task, rollout.policy_hash) for rollout in found} != {(content["task"], content["policy_hash"])}:
+            wrong.append("policy_hash")
+        if wrong:
+            raise DatasetError(f"{path} with another {wrong[0]} than {file.name}", "the same", "measure it again")
 
 
 def card(result: Mapping[str, Any]) -> str:

@@ -31,6 +31,8 @@ class Rollout:
         initial_state: Where the episode began: "robot" (x [m], y [m], yaw [rad]) in the world, "object" (y [m],
             z [m], yaw [rad]) as differences from the task's layout, and the conditions of its world.
         variation: How worlds differed.
+        controller: SHA-256 of the whole-body controller's weights; empty in files of versions that did not note it.
+        code: SHA-256 of the code that simulated; empty likewise.
     """
 
     task: str
@@ -51,6 +53,8 @@ class Rollout:
     initial_state: Mapping[str, list[float]]
     variation: str = "none"
     success_strict: bool | None = None
+    controller: str = ""
+    code: str = ""
 
     def __post_init__(self) -> None:
         """Check the outcome."""

@@ -27,6 +27,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.rollout import Rollout
+from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 NUM_WORLDS = 16  # at a time: as many as the rows that a policy is given at least, see batch_rows.py
@@ -223,7 +224,7 @@ def roll_batches(
     if setting.num_workers == 1:
         with closing(_environment(loaded, setting)) as env:
             for seeds in batches:
-                yield _batch(loaded, env, seeds, on_step)
+                yield _batch(loaded, setting, env, seeds, on_step)
         return
     if loaded.policy.config.device != "cpu" or on_step is not None:
         raise PolicyError(f"num_workers={setting.num_workers} for {loaded.policy.config.device}", "1", "lower it")
@@ -245,11 +246,11 @@ def _start_worker(loaded: LoadedPolicy, setting: Setting) -> None:
 
     end_with_parent()
     torch.set_num_threads(1)
-    _worker.update(loaded=loaded, env=_environment(loaded, setting))
+    _worker.update(loaded=loaded, setting=setting, env=_environment(loaded, setting))
 
 
 def _batch_in_worker(seeds: Sequence[int]) -> list[Rollout]:
-    return _batch(_worker["loaded"], _worker["env"], seeds, None)
+    return _batch(_worker["loaded"], _worker["setting"], _worker["env"], seeds, None)
 
 
 def _environment(loaded: LoadedPolicy, setting: Setting) -> DemoHLMVectorEnv:
@@ -276,7 +277,9 @@ def _image_size(loaded: LoadedPolicy) -> tuple[int, int]:
     return WIDTH, HEIGHT
 
 
-def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None) -> list[Rollout]:
+def _batch(
+    loaded: LoadedPolicy, setting: Setting, env: DemoHLMVectorEnv, seeds: Sequence[int], on_step: OnStep | None
+) -> list[Rollout]:
     """Roll out one batch; worlds beyond the seeds rest."""
     import torch
 
@@ -324,6 +327,8 @@ def _batch(loaded: LoadedPolicy, env: DemoHLMVectorEnv, seeds: Sequence[int], on
             initial_state=starts[world],
             variation=env.sim.variation.name,
             success_strict=bool(infos["success_strict"][world]),
+            controller=provenance.controller_hash(setting.controller),
+            code=provenance.code_hash(),
         )
         for world, seed in enumerate(seeds)
     ]

@@ -9,10 +9,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from gym_demohlm.errors import DatasetError
+from gym_demohlm.errors import DatasetError, NoSuccessError
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation.evaluate import evaluate
 from lerobot_demohlm.evaluation.rollout import Rollout
@@ -23,9 +24,11 @@ from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import Cell, RegionCell
 from lerobot_demohlm.experiments.variants import PLAIN, VARIANTS
 from lerobot_demohlm.generation.request import GenerationRequest
+from lerobot_demohlm.generation.run import partial_directory
 from lerobot_demohlm.generation.runner import generate
 from lerobot_demohlm.policies.presets import get_preset
 from lerobot_demohlm.policies.training import checkpoint, train
+from lerobot_demohlm.reports.explain import read_run
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
@@ -86,14 +89,16 @@ def run_cell(cell: Cell | RegionCell, layout: Layout, effort: Effort) -> PolicyR
 
 @contextmanager
 def _alone(directory: Path) -> Iterator[None]:
-    """Lock a directory from beside it: a second process would delete what the first makes there."""
-    beside = directory.with_name(f"{directory.name}.lock")
+    """Lock a directory from outside of it: a second process would delete what the first makes there.
+
+    What is locked stays on disk: a lock that is removed can be held twice, in the old folder and in a new one.
+    """
+    beside = directory.parent / ".locks" / directory.name
     beside.mkdir(parents=True, exist_ok=True)
     lock = RunLock(beside)
     try:
         yield
     finally:
-        shutil.rmtree(beside)
         lock.release()
 
 
@@ -101,17 +106,23 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationR
     """Return the result of the first attempts in a region."""
     count = effort.num_attempts
     root = layout.generation(cell, count)
-    records = read_attempts(root) if root.exists() else []
-    if len(records) < count:
+    if not root.exists():
         if effort.is_over:
             return None
         worlds = replace(VARIANTS[PLAIN], variation=cell.variation)
-        generate(replace(_request(cell, root, effort), num_attempts=count, variation=worlds))
-        records = read_attempts(root)
-    lengths = [record["length_s"] for record in records[:count] if record["outcome"] == "success"]
+        try:
+            generate(replace(_request(cell, root, effort), num_attempts=count, variation=worlds))
+        except NoSuccessError:  # no dataset, but a result
+            return _counted(cell, read_run(partial_directory(root))[1])
+    return _counted(cell, read_attempts(root))
+
+
+def _counted(cell: RegionCell, records: Sequence[dict[str, Any]]) -> GenerationResult:
+    """Return the result of these attempts."""
+    lengths = [record["length_s"] for record in records if record["outcome"] == "success"]
     return GenerationResult(
         **asdict(cell),
-        **count_attempts(records[:count]),
+        **count_attempts(records),
         episode_s=round(sum(lengths) / len(lengths), 2) if lengths else None,
         stamp=cell.stamp,
     )
@@ -134,7 +145,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | No
     training = layout.training(cell)
     if not layout.times(cell).exists():
         with _alone(training):
-            if not _trained(cell, layout, effort):
+            if not layout.times(cell).exists() and not _trained(cell, layout, effort):
                 return None
     began, output = time.monotonic(), layout.rollouts(cell)
     before = output.read_bytes().count(b"\n") if output.exists() else 0  # the last line may be torn

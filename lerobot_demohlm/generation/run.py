@@ -2,7 +2,7 @@
 
 On disk, beside the future root::
 
-    <root>.partial/run.json      the facts of the run: a resumed run must have the same
+    <root>.partial/run.json      the facts of the run and hashes of the code: a resumed run must have the same
     <root>.partial/lock          held by the process that is at work
     <root>.partial/blocks/       one directory a block, see ``block.py``
     <root>.partial/finished/     the merged datasets, on their way to the root
@@ -21,11 +21,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gym_demohlm.errors import DatasetError
+from gym_demohlm.errors import DatasetError, NoSuccessError
 from lerobot_demohlm.datasets.facts import GenerationFacts, count_outcomes, read_facts, require_new_root, write_facts
 from lerobot_demohlm.generation.block import block_directory, read_block, storing
+from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
+_CODE, _GENERATOR = "code_hash", "generator_hash"
 _log = logging.getLogger(__name__)
 
 
@@ -87,7 +89,7 @@ class GenerationRun:
             _require_same_facts(path, self.facts)
         else:
             temporary = path.with_suffix(".tmp")
-            temporary.write_text(json.dumps(self.facts.content(), indent=2) + "\n")
+            temporary.write_text(json.dumps(_begun_with(self.facts), indent=2) + "\n")
             temporary.rename(path)
         for block in sorted((self.directory / "blocks").iterdir()):
             if block.name.startswith("."):
@@ -198,8 +200,10 @@ class GenerationRun:
             The content of ``meta/demohlm.json``.
 
         Raises:
-            DatasetError: The target is not met yet, not one attempt succeeded, a block has been damaged, or the disk is
-                full (the partial directory is kept).
+            NoSuccessError: Not one attempt succeeded.
+            DatasetError: The target is not met yet, a block has been damaged, or the disk is full.
+
+        What has been made is kept in the partial directory then.
         """
         with storing(self.directory):
             if not self._finished.is_dir():
@@ -222,7 +226,7 @@ class GenerationRun:
         if not any(record["outcome"] == "success" for record in records):
             counts = ", ".join(f"{n} {name}" for name, n in count_outcomes(records).items() if n)
             why = f"see why: demohlm explain --root {self.directory} --output why.html"
-            raise DatasetError(f"no success in {len(records)} attempts ({counts})", "one or more", why)
+            raise NoSuccessError(f"no success in {len(records)} attempts ({counts})", "one or more", why)
         from lerobot_demohlm.datasets import merge  # takes seconds
         from lerobot_demohlm.datasets.card import write_card
 
@@ -277,8 +281,13 @@ def _require_new_targets(root: Path, facts: GenerationFacts) -> None:
             require_new_root(target)
 
 
+def _begun_with(facts: GenerationFacts) -> dict[str, Any]:
+    """Return what a run must have been begun with to be resumed: its facts, and the code that makes its blocks."""
+    return facts.content() | {_CODE: provenance.code_hash(), _GENERATOR: provenance.generator_hash()}
+
+
 def _require_same_facts(path: Path, facts: GenerationFacts) -> None:
-    """Raise ``DatasetError`` where a run was begun with other facts."""
+    """Raise ``DatasetError`` where a run was begun with other facts, or by other code."""
     try:
         begun = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
@@ -287,8 +296,14 @@ def _require_same_facts(path: Path, facts: GenerationFacts) -> None:
         raise DatasetError(
             f"{path}, damaged ({begun})", "the facts of a run", f"remove {path.parent}, or choose another --root"
         )
-    now = json.loads(json.dumps(facts.content()))
+    now = json.loads(json.dumps(_begun_with(facts)))
     different = sorted(key for key in begun.keys() | now.keys() if begun.get(key) != now.get(key))
+    if different and set(different) <= {_CODE, _GENERATOR}:
+        raise DatasetError(
+            f"{path.parent}, begun by another version of this package",
+            f"this version, {now[_CODE][:8]} and {now[_GENERATOR][:8]}",
+            "resume it with that version, or remove it, or choose another --root",
+        )
     if different:
         key = different[0]
         raise DatasetError(

@@ -51,6 +51,7 @@ class ControlSettings:
         weights: File of the controller; the packaged one by default.
         servos: Whether neck and grippers have a process of their own.
         recorded: Whether a recorder is expected to keep up.
+        policy: Whether a policy has a process of its own, which gives signs of life while it waits.
         limits: Of commands and measurements.
         ages: Of the watchdogs.
     """
@@ -62,6 +63,7 @@ class ControlSettings:
     weights: Path | None = None
     servos: bool = True
     recorded: bool = True
+    policy: bool = True
     limits: Limits = field(default_factory=Limits)
     ages: Ages = field(default_factory=Ages)
 
@@ -163,6 +165,8 @@ class ControlProcess:
         since_policy = 1e-9 * (time.monotonic_ns() - self._policy_ns)
         if self._machine.mode == Mode.RUN:
             since_policy = min(since_policy, running)
+        elif self._settings.policy:
+            since_policy = self._slots["policy"].age_s()
         else:
             since_policy = 0.0 if policy is not None else np.inf
         recorder, failed = self._slots["recorder"].read() if self._settings.recorded else None, ""

@@ -14,6 +14,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
@@ -41,6 +42,7 @@ class Deployment:
 
     Args:
         settings: What is deployed.
+        before_control: Called when all but the controller is ready, before that begins; nothing by default.
 
     Attributes:
         folder: Of the slots.
@@ -50,7 +52,7 @@ class Deployment:
         DemoHLMError: What a process refused; nothing has been sent then.
     """
 
-    def __init__(self, settings: DeploymentSettings) -> None:
+    def __init__(self, settings: DeploymentSettings, before_control: Callable[[], None] = lambda: None) -> None:
         self.settings = settings
         self._lock_on_robot = ControllerLock(settings.interface, settings.domain)  # before any port is opened
         memory = Path("/dev/shm")
@@ -64,6 +66,7 @@ class Deployment:
             for name in (*self._names(), "control"):
                 self._start(name)
             self._wait_for_ready(*self._names())
+            before_control()
             (self.folder / GO).touch()
             self._wait_for_ready("control")
         except BaseException:

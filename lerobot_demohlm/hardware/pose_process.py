@@ -89,9 +89,9 @@ class PoseProcess:
         try:
             while not self._stop:
                 began, camera = time.perf_counter(), self._camera()
-                look = self._source()
-                if look is not None and camera is not None:
-                    self._slots["pose"].write(_record(look, time.perf_counter() - began, camera), look.time_ns)
+                look = None if camera is None else self._source(camera)
+                if look is not None:
+                    self._slots["pose"].write(_record(look, time.perf_counter() - began), look.time_ns)
                 due = max(due + PERIOD_S, time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))
         finally:
@@ -118,11 +118,11 @@ def make_source(settings: PoseSettings, task: Task) -> Source:
     return TagSource(task, settings.tags, camera)
 
 
-def _record(look: Look, looking_s: float, T_odometry_camera: np.ndarray) -> np.void:
+def _record(look: Look, looking_s: float) -> np.void:
     seen = look.estimate
     count = seen.valid.shape[1]
     value = np.zeros((), records.RECORDS["pose"])
-    value["T_camera_object"][:], value["T_odometry_camera"] = np.eye(4), T_odometry_camera
+    value["T_camera_object"][:], value["T_odometry_camera"] = np.eye(4), look.T_odometry_camera
     value["T_camera_object"][:count], value["valid"][:count] = seen.T_camera_object[0], seen.valid[0]
     value["age_s"][:count], value["looking_s"] = seen.age_s[0], looking_s
     return value[()]  # pyright: ignore[reportReturnType]

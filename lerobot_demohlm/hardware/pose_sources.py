@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, T_OPTICAL_CAMERA, Intrinsics
+from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, Intrinsics
 from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
@@ -30,24 +30,32 @@ class Look:
 
     Attributes:
         estimate: Where they seem to be, one row.
+        T_odometry_camera: (4, 4), where the camera was in whose frame they are.
         time_ns: When one of them was seen last (``time.monotonic_ns``).
     """
 
     estimate: PoseEstimate
+    T_odometry_camera: np.ndarray
     time_ns: int
 
     @classmethod
-    def of(cls, estimate: PoseEstimate, now_ns: int) -> "Look | None":
+    def of(cls, estimate: PoseEstimate, T_odometry_camera: np.ndarray, now_ns: int) -> "Look | None":
         """Return a look that is as old as the object that was seen last; None before any was seen."""
         age_s = float(estimate.age_s.min())
-        return None if not np.isfinite(age_s) else cls(estimate=estimate, time_ns=now_ns - round(1e9 * age_s))
+        if not np.isfinite(age_s):
+            return None
+        return cls(estimate=estimate, T_odometry_camera=T_odometry_camera, time_ns=now_ns - round(1e9 * age_s))
 
 
 class Source(Protocol):
     """What looks at the objects."""
 
-    def __call__(self) -> Look | None:
-        """Return the newest look; None where there is no new one."""
+    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
+        """Return the newest look; None where there is no new one.
+
+        Args:
+            T_odometry_camera: (4, 4), where the head camera is now.
+        """
         ...
 
     def close(self) -> None:
@@ -70,7 +78,7 @@ class WorldSource:
         self._reader = link.reader(WORLD)
         self._episode = -1
 
-    def __call__(self) -> Look | None:
+    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
         """Return the newest look; None where no new world has come."""
         content = self._reader.newest()
         if content is None:
@@ -81,7 +89,7 @@ class WorldSource:
         if episode != self._episode:
             self._episode = episode
             self._perceiver.begin(np.array([0]), [episode])
-        return Look.of(self._perceiver.observe(self._sim, np.array([0])), time_ns)
+        return Look.of(self._perceiver.observe(self._sim, np.array([0])), T_odometry_camera, time_ns)
 
     def close(self) -> None:
         """Give back what draws the world."""
@@ -90,24 +98,27 @@ class WorldSource:
 
 
 class _Seen:
-    """What was seen of each object, and when; what is not seen now keeps its pose in the camera's frame."""
+    """What was seen of each object, and when; what is not seen now keeps its pose in the frame "odometry".
+
+    The perceivers that policies are trained with do the same (``gym_demohlm.perception``).
+    """
 
     def __init__(self, count: int) -> None:
-        self._T, self._at = np.tile(np.eye(4), (1, count, 1, 1)), np.full(count, -1, np.int64)
+        self._T, self._at = np.tile(np.eye(4), (count, 1, 1)), np.full(count, -1, np.int64)
 
-    def add(self, index: int, T_camera_object: np.ndarray, time_ns: int) -> None:
+    def add(self, index: int, T_odometry_object: np.ndarray, time_ns: int) -> None:
         """Note where an object was seen."""
-        self._T[0, index], self._at[index] = T_camera_object, time_ns
+        self._T[index], self._at[index] = T_odometry_object, time_ns
 
-    def look(self, now_ns: int) -> Look | None:
-        """Return what is known; None before each object was seen once."""
+    def look(self, T_odometry_camera: np.ndarray, now_ns: int) -> Look | None:
+        """Return what is known, from where the camera was at that time; None before each object was seen once."""
         if (self._at < 0).any():
             return None
         age_s = 1e-9 * (now_ns - self._at)[None]
         valid = self._at[None] == now_ns
-        return Look.of(
-            PoseEstimate(T_camera_object=self._T.copy(), valid=valid, age_s=age_s, inliers=valid.astype(float)), now_ns
-        )
+        T_camera_object = (poses.invert(T_odometry_camera) @ self._T)[None]
+        estimate = PoseEstimate(T_camera_object=T_camera_object, valid=valid, age_s=age_s, inliers=valid.astype(float))
+        return Look.of(estimate, T_odometry_camera, now_ns)
 
 
 class TagSource:
@@ -131,7 +142,7 @@ class TagSource:
         self._known: Intrinsics | None = None
         self._expected: list[np.ndarray | None] = [None] * len(self._tags)
 
-    def __call__(self) -> Look | None:
+    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
         """Return the newest look; None before each object was seen once, and where no picture comes."""
         import cv2
 
@@ -148,8 +159,8 @@ class TagSource:
             found = object_pose(worn, corners, self._known, self._expected[index])
             if found is not None:
                 self._expected[index] = found[0]
-                self._seen.add(index, T_CAMERA_OPTICAL @ found[0], now)
-        return self._seen.look(now)
+                self._seen.add(index, T_odometry_camera @ T_CAMERA_OPTICAL @ found[0], now)
+        return self._seen.look(T_odometry_camera, now)
 
     def close(self) -> None:
         """Give back the camera."""
@@ -159,7 +170,8 @@ class TagSource:
 class ServerSource:
     """Sends a camera's pictures to a pose server, which finds the objects in them by itself.
 
-    There is no odometry here, so the server is told only that the camera is level.
+    It is told where the camera is by the robot's odometry. A late answer counts from where the camera was when its
+    picture was taken.
 
     Args:
         task: The task.
@@ -175,16 +187,16 @@ class ServerSource:
         self._task, self._camera, self._seen = task, camera, _Seen(len(task.objects))
         self._client = PoseClient(zmq.Context(), settings.address, settings.timeout_s)
         self._session, self._frame = uuid.uuid4().hex, 0
-        self._taken: dict[int, int] = {}  # when each picture was taken that is not answered
+        self._taken: dict[int, tuple[int, np.ndarray]] = {}  # when and from where each picture that is not answered was
 
-    def __call__(self) -> Look | None:
+    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
         """Return the newest look; None before each object was seen once, and where neither picture nor answer comes."""
         from gym_demohlm.perception.wire import Request
 
         image = self._camera.color()
         if image is None:
             return None
-        self._taken[self._frame] = time.monotonic_ns()
+        self._taken[self._frame] = time.monotonic_ns(), T_odometry_camera
         told = self._client.look(
             Request(
                 session=self._session,
@@ -192,7 +204,7 @@ class ServerSource:
                 task=self._task.name,
                 objects=tuple(entry.name for entry in self._task.objects),
                 K=self._camera.intrinsics(image.shape).matrix,
-                T_odom_optical=T_CAMERA_OPTICAL,
+                T_odom_optical=T_odometry_camera @ T_CAMERA_OPTICAL,
                 hands={},
                 color=image,
                 depth=self._camera.depth(image.shape),
@@ -202,12 +214,12 @@ class ServerSource:
         self._frame += 1
         if told is None:
             return None
-        taken = self._taken[told.request.frame]
-        self._taken = {frame: at for frame, at in self._taken.items() if frame > told.request.frame}
+        taken_ns, T_odometry_then = self._taken[told.request.frame]
+        self._taken = {frame: taken for frame, taken in self._taken.items() if frame > told.request.frame}
         for index, answer in enumerate(told.answers):
             if answer.valid:
-                self._seen.add(index, poses.invert(T_OPTICAL_CAMERA) @ answer.T_optical_object, taken)
-        return self._seen.look(taken)
+                self._seen.add(index, T_odometry_then @ T_CAMERA_OPTICAL @ answer.T_optical_object, taken_ns)
+        return self._seen.look(T_odometry_then, taken_ns)
 
     def close(self) -> None:
         """Give back the camera, and the connection to the server."""

@@ -58,6 +58,7 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
                 weights=settings.weights,
                 servos=settings.servo_port is not None,
                 recorded=settings.root is not None,
+                policy=settings.policy is not None,
                 limits=settings.limits,
                 ages=settings.ages,
             )

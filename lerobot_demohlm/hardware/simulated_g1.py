@@ -28,7 +28,7 @@ from gym_demohlm.robot.hands import GRIPPER
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.simulation.judge import Judge, outcome
 from gym_demohlm.simulation.worlds import STATE_SPEC
-from gym_demohlm.task import DEFAULT_REGION, InitialState
+from gym_demohlm.task import DEFAULT_REGION, WIDEST, InitialState
 from gym_demohlm.timing import PHYSICS_DT
 from gym_demohlm.variation import NONE, get_variation
 from lerobot_demohlm.hardware import servo_units, world_topic
@@ -76,7 +76,8 @@ class SimulatedSettings:
 
     Raises:
         UnknownNameError: There is no such variation.
-        RobotError: It varies something else than the robot: the eyes of a deployment know the plain world.
+        RobotError: It varies something else than the robot, or objects have other shapes in that region: the eyes of a
+            deployment know the plain world.
     """
 
     task: str
@@ -95,7 +96,16 @@ class SimulatedSettings:
     variation: str = NONE.name
 
     def __post_init__(self) -> None:
-        """Check the variation."""
+        """Check region and variation."""
+        task = get_task(self.task)
+        task.region(self.region)
+        if self.region == WIDEST and task.wide_form is not None:
+            expected = ", ".join(region for region in task.regions if region != WIDEST)
+            raise RobotError(
+                f"{self.region} of {task.name}, where objects have other shapes, which a deployment's eyes do not know",
+                expected,
+                "choose another --region",
+            )
         others = [group for group in get_variation(self.variation).groups if group != "robot"]
         if others:
             got = f"the variation {self.variation!r} of {', '.join(others)}"
@@ -132,7 +142,6 @@ class SimulatedG1:
     def __init__(self, settings: SimulatedSettings, say: Callable[[dict[str, Any]], None]) -> None:
         self._settings, self._say = settings, say
         self._task = task = get_task(settings.task)
-        task.region(settings.region)
         link = Link(settings.interface, settings.domain)
         self._commands, self._states = link.reader(LOW_CMD, newest=False), link.writer(LOW_STATE)
         self._worlds, self._switcher = link.writer(WORLD), MotionSwitcherService(link, settings.own_controller)

@@ -4,7 +4,7 @@ import functools
 import hashlib
 import importlib.metadata
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import mujoco
@@ -15,6 +15,7 @@ from gym_demohlm.control import controllers
 
 LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
+_GENERATOR = ("datasets", "demonstrations", "generation", "reproducibility")  # packages of this one
 _FMA_FLAGS = ("fma", "avx2", "avx512f", "asimd", "sve")  # of /proc/cpuinfo; each implies fused multiply-add
 
 
@@ -34,11 +35,23 @@ def model_hash(model: mujoco.MjModel) -> str:
 def code_hash() -> str:
     """Return the SHA-256 of the code that simulates: ``gym_demohlm`` but for what trains the controller."""
     root, digest = Path(gym_demohlm.__file__).parent, hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        name = path.relative_to(root).as_posix()
-        if not name.startswith("wbc/"):
-            digest.update(f"{name} {path.stat().st_size} ".encode() + path.read_bytes())
+    _add(digest, root, (path for path in root.rglob("*.py") if "wbc" not in path.relative_to(root).parts[:1]))
     return digest.hexdigest()
+
+
+@functools.cache
+def generator_hash() -> str:
+    """Return the SHA-256 of the code that decides what a generation run writes beside what simulates."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    _add(digest, root, (path for package in _GENERATOR for path in (root / package).rglob("*.py")))
+    return digest.hexdigest()
+
+
+def _add(digest: "hashlib._Hash", root: Path, paths: Iterable[Path]) -> None:
+    """Add files, with their names in a folder, to a digest."""
+    for path in sorted(paths):
+        name = path.relative_to(root).as_posix()
+        digest.update(f"{name} {path.stat().st_size} ".encode() + path.read_bytes())
 
 
 def processor() -> dict[str, str]:

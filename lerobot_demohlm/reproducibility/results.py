@@ -9,7 +9,7 @@ from gym_demohlm import jsonl
 
 
 def append_result(path: Path, command: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Append one result with its command and the commit of the working tree (``+`` where files differ from it).
+    """Append one result with its command and ``commit()``.
 
     Args:
         path: The ``.jsonl`` file; it and its folder are made if missing.
@@ -25,9 +25,18 @@ def append_result(path: Path, command: str, values: Mapping[str, Any]) -> dict[s
 
 
 def commit() -> str:
-    """Return the commit of the working tree, with ``+`` where tracked files differ from it; "unknown" without git."""
+    """Return the commit of this package's code, with ``+`` where files that git tracks differ from it.
 
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], capture_output=True, text=True, check=False).stdout.strip()
+    It is "unknown" where there is no git, or where the package was installed instead of being run from a repository.
+    """
+    try:
+        if not _git("ls-files", Path(__file__).name):
+            return "unknown"  # a repository may hold an environment in which this package is installed
+        return _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
-    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("+" if git("status", "--porcelain", "-uno") else "")
+
+def _git(*words: str) -> str:
+    found = subprocess.run(["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    return found.stdout.strip()

@@ -6,6 +6,7 @@ demonstration holds follows from these bit for bit. A record that was only half 
 handed to the system at once, which keeps it when the process is killed; waiting for the disk would hold up the world.
 """
 
+import itertools
 import json
 import shutil
 from dataclasses import dataclass
@@ -92,6 +93,11 @@ class Journal:
         """Close the journal and delete its folder."""
         self.close()
         shutil.rmtree(self.directory, ignore_errors=True)
+
+    def set_aside(self) -> Path:
+        """Rename the folder, so that no recording replaces it; returns where it is now."""
+        others = (self.directory.with_name(f"{self.directory.name}.{number}") for number in itertools.count(1))
+        return self.directory.rename(next(path for path in others if not path.exists()))
 
     def reopen(self, rows: int) -> None:
         """Go on with the one on disk, behind so many rows."""

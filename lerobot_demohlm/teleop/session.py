@@ -30,6 +30,7 @@ from gym_demohlm.timing import FPS
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.demonstrations.segments import Segment
+from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.teleop.clutch import Clutch, Controls
 from lerobot_demohlm.teleop.journal import Found, Journal
 from lerobot_demohlm.teleop.operator import OperatorPoses, SceneView
@@ -100,7 +101,8 @@ class RecordingSession:
         self.clutch = Clutch(self.settings.scale)
         self.journal = Journal(self.root.with_name(f"{self.root.name}.unfinished"))
         self.state, self.message = IDLE, ""
-        self._waiting = False  # after going back, until the operator takes hold
+        self._waiting = False  # after going back, until the operator takes hold again
+        self._released = True  # whether the operator has let go since
         self._review: Review | None = None
         self._segments: list[Segment] = []
         self._touching = SelfContacts(self.sim)
@@ -181,7 +183,8 @@ class RecordingSession:
         Args:
             controls: The newest.
         """
-        if self._waiting and controls.active:
+        self._released = self._released or not controls.active
+        if self._waiting and self._released and controls.active:
             self._waiting, self.message = False, "recording"
         if self.paused:
             return
@@ -245,12 +248,7 @@ class RecordingSession:
         if self.found is not None:
             _log.warning("the unfinished recording of %d steps is dropped", len(self.found.actions))
             self.found = None
-        facts = {
-            "task": self.task.name,
-            "model_hash": self.recorder.model_hash,
-            "start": self.start,
-            "operator": self.settings.operator,
-        }
+        facts = {**self._replayed_by, "start": self.start, "operator": self.settings.operator}
         self.journal.begin(self.sim.snapshot(), self.recorder.last, facts)
 
     def _stop(self) -> None:
@@ -333,22 +331,32 @@ class RecordingSession:
     # Details
 
     def _unfinished(self) -> Found | None:
-        """Return what a killed process left, if it is of this task and model."""
+        """Return what a killed process left, if it can be made again here; what cannot be is set aside."""
         try:
             found = self.journal.find()
         except DemonstrationError as error:
-            _log.warning("%s", error)
+            _log.warning("%s; it is kept as %s", error, self.journal.set_aside())
             return None
         if found is None:
             return None
-        same = (found.facts.get("task"), found.facts.get("model_hash")) == (self.task.name, self.recorder.model_hash)
-        if not same:
-            _log.warning("%s is of another task or version: it stays there", self.journal.directory)
-        return found if same else None
+        if any(found.facts.get(name) != value for name, value in self._replayed_by.items()):
+            what = "an unfinished recording of another task, version or controller"
+            _log.warning("%s: %s is kept as %s", self.journal.directory, what, self.journal.set_aside())
+            return None
+        return found
+
+    @property
+    def _replayed_by(self) -> dict[str, str]:
+        """Return what must be the same for a recording's steps to be the same."""
+        return {
+            "task": self.task.name,
+            "model_hash": self.recorder.model_hash,
+            "controller_hash": provenance.controller_hash(self.settings.controller),
+        }
 
     def _wait(self) -> None:
-        """Let the world stand still until the operator takes hold."""
-        self._waiting = True
+        """Let the world stand still until the operator, who may not have let go yet, takes hold again."""
+        self._waiting, self._released = True, False
 
     def _let_go(self) -> None:
         """Have the clutch hold the targets of the last row."""

@@ -3,7 +3,6 @@
 The attempts run in a process of their own, so that whoever waits for them goes on meanwhile.
 """
 
-import contextlib
 import importlib
 import multiprocessing
 import os
@@ -114,21 +113,26 @@ class Trial:
         try:
             self._process.start()
         finally:
-            if before is None:
-                del os.environ["OMP_NUM_THREADS"]
+            del os.environ["OMP_NUM_THREADS"]
+            if before is not None:
+                os.environ["OMP_NUM_THREADS"] = before
         there.close()
 
     def report(self) -> TrialReport:
         """Return how it stands now."""
-        with contextlib.suppress(EOFError, OSError):
+        ended = False
+        try:
             while self._pipe.poll():
                 kind, content = self._pipe.recv()
                 if kind == "error":
                     self._error = str(content)
                 else:
                     self._outcomes += content
+        except (EOFError, OSError):
+            ended = True
         done = len(self._outcomes)
-        if done < self.settings.attempts and not self._error and not self._process.is_alive() and not self._waiting():
+        if ended and done < self.settings.attempts and not self._error:
+            self._process.join(1.0)
             self._error = f"the process of the trial ended with exit code {self._process.exitcode}"
         failed = Counter(reason for outcome, reason in self._outcomes if outcome != "success")
         return TrialReport(
@@ -144,13 +148,6 @@ class Trial:
         self._process.kill()
         self._process.join()
         self._pipe.close()
-
-    def _waiting(self) -> bool:
-        """Return whether the process has sent something that was not read yet."""
-        try:
-            return self._pipe.poll()
-        except (EOFError, OSError):
-            return False
 
 
 def _work(pipe: Any, packed: bytes) -> None:  # noqa: ANN401  either end of a pipe

@@ -58,10 +58,23 @@ def test_an_error_names_file_and_line(line: str, error: str, tmp_path: Path) -> 
 def test_a_torn_last_line_is_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "points.jsonl"
     path.write_text('{"name": "a", "x": 1}\n{"name": "b", ')
-    jsonl.cut_torn_line(path)
+    assert jsonl.resume(Point, path) == [Point(name="a", x=1)]
     assert path.read_text() == '{"name": "a", "x": 1}\n'
-    path.write_text('{"na')
-    jsonl.cut_torn_line(path)
-    assert jsonl.read(path) == []
+    for torn in ('{"na', '{"name": "b", "x'):
+        path.write_text(torn)
+        assert jsonl.resume(Point, path) == []
+        assert path.read_text() == ""
+
+
+@pytest.mark.parametrize("text", ['{"notes": "mine"}', '{"notes": 1}\n{"name": "b", ', "notes", "notes\n", "\xff"])
+def test_a_file_of_something_else_is_not_cut(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_bytes(text.encode("latin1"))
+    with pytest.raises(DatasetError, match=r"notes\.txt"):
+        jsonl.resume(Point, path)
+    assert path.read_bytes() == text.encode("latin1")
+
+
+def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="check the path"):
         jsonl.read(tmp_path / "nothing.jsonl")

@@ -27,6 +27,11 @@ def make_episode(index: int, *, outcome: str = "success", length: int = 12, text
         success=np.arange(length) >= length - 2 if outcome == "success" else np.zeros(length, dtype=bool),
         initial_state={"robot": [-0.5, 0.0, 0.1 * index], "object": [0.0, 0.0, 0.0]},
         length_s=length / 10,
+        stage_ticks={"locomotion": 4, "manipulation": length - 4} if length > 4 else {},
+        reason="" if outcome == "success" else "it slipped",
+        digest=f"{index:064x}",
+        retries=index % 3,
+        success_strict=outcome == "success",
     )
 
 

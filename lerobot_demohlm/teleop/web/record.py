@@ -40,7 +40,7 @@ def operators_place(task: Task, seed: int | None = None, region: str = "R1", spr
         task: The task.
         seed: Of objects moved by a region's offsets; None leaves them where they are by default.
         region: The region.
-        spread: Share of the region's offsets; the robot's place does not follow them.
+        spread: Share of the region's offsets, of each object; the robot's place does not follow them.
     """
     try:
         start = script_of(task).start
@@ -49,7 +49,8 @@ def operators_place(task: Task, seed: int | None = None, region: str = "R1", spr
     if seed is None:
         return start
     drawn = task.sample(region, np.random.default_rng([3, seed]))
-    return start | {"object": [spread * offset for offset in drawn["object"]]}
+    offsets = {name: values for name, values in drawn.items() if name != "robot"}
+    return start | {name: [spread * value for value in values] for name, values in offsets.items()}
 
 
 def record_in_browser(task: Task, root: Path, settings: WebSettings | None = None) -> int:

@@ -19,8 +19,10 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets import facts, merge, writer
 from lerobot_demohlm.datasets.episode import Episode
 from lerobot_demohlm.datasets.facts import GenerationFacts
+from lerobot_demohlm.datasets.origin import read_origins
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun, failures_root, partial_directory
+from lerobot_demohlm.reproducibility import provenance
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -192,6 +194,17 @@ def test_episode_target_counts_attempts_up_to_its_last_success_only(tmp_path: Pa
     arrays = list(writer.read_arrays(tmp_path / "data"))
     for array, index in zip(arrays, (0, 1, 3, 4), strict=True):
         np.testing.assert_array_equal(array["action"], episode_of(index).action)
+    records = facts.read_attempts(tmp_path / "data")
+    assert [origin.record for origin in read_origins(tmp_path / "data").values()] == [records[i] for i in (0, 1, 3, 4)]
+
+
+def test_an_episode_comes_back_from_its_record() -> None:
+    for episode in (make_episode(1), make_episode(2, outcome="fell")):
+        rest = {
+            name: getattr(episode, name)
+            for name in ("task", "task_text", "seed", "region", "state", "environment_state", "action", "success")
+        }
+        assert Episode.of_record(episode.record(), **rest).record() == episode.record()
 
 
 def test_failures_are_kept_on_request(tmp_path: Path) -> None:
@@ -242,6 +255,14 @@ def test_resume_with_other_facts_is_refused(tmp_path: Path) -> None:
     GenerationRun.open(tmp_path / "data", "user/name", make_facts())
     with pytest.raises(DatasetError, match=r"seed=0.*seed=1"):
         GenerationRun.open(tmp_path / "data", "user/name", make_facts(seed=1))
+
+
+@pytest.mark.parametrize("code", ["code_hash", "generator_hash"])
+def test_resume_by_other_code_is_refused(tmp_path: Path, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    GenerationRun.open(tmp_path / "data", "user/name", make_facts()).close()
+    monkeypatch.setattr(provenance, code, lambda: "0" * 64)
+    with pytest.raises(DatasetError, match="another version of this package"):
+        GenerationRun.open(tmp_path / "data", "user/name", make_facts())
 
 
 def test_root_that_exists_is_refused(tmp_path: Path) -> None:

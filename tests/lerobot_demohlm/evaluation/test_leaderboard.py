@@ -1,7 +1,7 @@
 """The leaderboard: fixed starts, a result that shows when it was edited, and a card."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import pytest
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import all_tasks, get_task, register_task
 from gym_demohlm.task import SCORING_SEEDS
-from lerobot_demohlm import quickstart
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.evaluation import leaderboard
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
@@ -25,14 +24,16 @@ def result(**changes: Any) -> dict[str, Any]:
     success = {"rate": 0.5, "interval": [0.09, 0.91]}
     cells = [
         {
-            "region": region, "variation": variation, "episodes": 2, "successes": 1, "first_seed": 1,
+            "region": region, "variation": variation, "episodes": 2, "successes": 1,
+            "first_seed": first_seed("LiftBox", region),
             "success_strict": success, "success_held": success, "outcomes": {"success": 1, "fell": 1},
             "rollouts_sha256": "0" * 64,
         }
         for region, variation in PROTOCOL.cells
     ]  # fmt: skip
     content = {
-        "benchmark": "demohlm", "version": 1, "official": True, "task": "LiftBox", "policy": "act", "score": 0.5,
+        "benchmark": "demohlm", "version": 1, "official": False, "task": "LiftBox",
+        "protocol": json.loads(json.dumps(asdict(PROTOCOL))), "policy": "act", "score": 0.5,
         "policy_hash": "a", "num_train_episodes": 3, "cells": cells, "commit": "c", "code_hash": "d",
     }  # fmt: skip
     return sign(content | changes)
@@ -48,13 +49,32 @@ def test_a_result_reads_back_and_has_a_card(tmp_path: Path) -> None:
     assert found == result()
     page = card(found)
     assert "LiftBox: act, 50.0 %" in page and page.count("| R4 |") == 2 and "1 fell" in page
-    assert "no result" not in page and "no result" in card(result(official=False))
+    assert "no result" in page and "no result" not in card(result(official=True))
 
 
 @pytest.mark.parametrize("key", ["score", "policy_hash", "official"])
 def test_an_edited_result_is_found_out(tmp_path: Path, key: str) -> None:
     with pytest.raises(DatasetError, match="it was edited"):
         read(written(tmp_path / "result.json", result() | {key: 1.0}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"score": 1.0}, "with the score 1.0; expected 0.5"),
+        ({"official": True}, "another protocol"),
+        ({"protocol": {"episodes": 2}}, "another protocol"),
+        ({"cells": result()["cells"][:2]}, "other settings"),
+        ({"cells": [{**cell, "first_seed": 1} for cell in result()["cells"]]}, "other starts"),
+        ({"cells": [{"region": "R3"}]}, "damaged"),
+        ({"cells": 3}, "damaged"),
+    ],
+)
+def test_a_result_that_was_edited_and_signed_again_must_still_add_up(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DatasetError, match=message):
+        read(written(tmp_path / "result.json", result(**changes)))
 
 
 def test_edited_rollouts_are_found_out(tmp_path: Path) -> None:
@@ -81,8 +101,7 @@ def test_scoring_starts_are_nobody_elses() -> None:
     firsts = [first_seed(name, region) for name in all_tasks() for region in ("R3", "R4")]
     assert len(set(firsts)) == len(firsts)
     assert all(first in SCORING_SEEDS and first + 999 in SCORING_SEEDS for first in firsts)
-    for seed in (FIRST_SEED, quickstart.FIRST_SEED if hasattr(quickstart, "FIRST_SEED") else 2_000_000):
-        assert seed not in SCORING_SEEDS
+    assert FIRST_SEED not in SCORING_SEEDS
 
 
 def test_a_result_is_not_written_over(tmp_path: Path) -> None:
@@ -112,6 +131,13 @@ def test_a_trial_goes_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "A trial" in (output / "README.md").read_text()
     assert main(["leaderboard", "--check", str(output / "result.json")]) == 0
     assert main(call) == 2 and "which exists" in capsys.readouterr().err
+    for name, value in (("successes", 1), ("episodes", 3), ("outcomes", {})):
+        cells = [{**cell, name: value} for cell in found["cells"]]
+        told = {key: content for key, content in found.items() if key != "sha256"} | {"cells": cells}
+        told["score"] = 0.5 if name == "successes" else round(2 / told["cells"][0]["episodes"], 4)
+        edited = output / "edited.json"
+        with pytest.raises(DatasetError, match=f"another {name} than rollouts_r3_none"):
+            read(written(edited, sign(told)))
     (output / "result.json").unlink()
     with (output / "rollouts_r4_real.jsonl").open("r+") as file:
         file.truncate(len(file.readline()))  # as if killed between the last two rollouts

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,9 @@ from lerobot_demohlm.experiments.plan import PERCEPTIONS, STRENGTHS, Cell, Regio
 from lerobot_demohlm.experiments.reproduce import missing, reproduce
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, sight_stamp, stamp
 from lerobot_demohlm.generation.attempt import initial_state
+from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.request import GenerationRequest
+from lerobot_demohlm.generation.run import GenerationRun
 from tests.helpers.experiment_lines import CELL, layout, make_line
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -287,6 +290,36 @@ def test_two_at_one_cell_are_told_so(tmp_path: Path) -> None:
     with run_alone(own.training(CELL)), pytest.raises(DatasetError, match="is at work"):
         run_cell(CELL, own, Effort(deadline=0.0))
     assert run_cell(CELL, own, Effort(deadline=0.0)) is None, "the time is up, and nobody holds it"
+
+
+def test_a_lock_is_never_held_twice_and_fails_in_no_other_way(tmp_path: Path) -> None:
+    held, most = [], []
+
+    def take(_: int) -> None:
+        for _ in range(200):
+            try:
+                with run_alone(tmp_path / "cell"):
+                    held.append(1)
+                    most.append(len(held))
+                    held.pop()
+            except DatasetError:
+                continue
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(take, range(4)))
+    assert set(most) == {1}
+
+
+def test_a_region_in_which_nothing_succeeds_has_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(request: GenerationRequest) -> None:
+        run = GenerationRun.open(request.root, "local/none", make_facts(num_attempts=1))
+        write_block(run.directory, run.facts, range(1), [make_episode(0, outcome="fell")])
+        run.finish()
+
+    monkeypatch.setattr(cells_module, "generate", fail)
+    result = run_cell(RegionCell(task="LiftBox", region="R2"), layout(tmp_path), Effort(num_attempts=1))
+    assert isinstance(result, GenerationResult)
+    assert (result.attempts, result.successes, result.success_rate, result.episode_s) == (1, 0, 0.0, None)
 
 
 def process_of(cell: Cell) -> PolicyResult:

@@ -40,14 +40,15 @@ def test_exact_poses_of_another_processes_world_are_those_of_the_environment() -
     link = Link("lo", free_domain())
     source, writer = WorldSource(TASK, "exact", link), link.writer(WORLD)
     snapshot, look, until = sim.snapshot(), None, time.monotonic() + 20.0
-    assert source() is None
+    state = records.record("state", T_odometry_torso=np.eye(4))
+    camera = odometry_camera(state, None)
+    assert source(camera) is None
     while look is None and time.monotonic() < until:
         writer.send(world_topic.pack(0, 0.4, snapshot["physics"][0], snapshot["mocap"][0]))
         time.sleep(0.02)
-        look = source()
+        look = source(camera)
     assert look is not None
-    state = records.record("state", T_odometry_torso=np.eye(4))
-    record = _record(look, 0.0, odometry_camera(state, None))
+    record = _record(look, 0.0)
     seen = robot_observation.environment_state(record, state, None, len(TASK.objects))
     np.testing.assert_allclose(seen, observation.environment_state(sim)[0], atol=1e-6)
     sim.close()
@@ -92,8 +93,8 @@ def test_a_server_is_asked_about_a_cameras_pictures_and_its_silence_is_silence()
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=60.0)
         source = ServerSource(TASK, settings, pictures)
         before = time.monotonic_ns()
-        looks = [source(), source()]
-        assert source() is None  # no picture
+        looks = [source(np.eye(4)), source(np.eye(4))]
+        assert source(np.eye(4)) is None  # no picture
     for look in looks:
         assert look is not None and look.estimate.valid.all() and before <= look.time_ns <= time.monotonic_ns()
         np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], [1.0, 0.0, 0.0], atol=1e-12)
@@ -101,19 +102,37 @@ def test_a_server_is_asked_about_a_cameras_pictures_and_its_silence_is_silence()
     np.testing.assert_allclose(heard[0].K, known.matrix)
 
 
+def test_a_late_answer_counts_from_where_its_picture_was_taken() -> None:
+    def late(request: Request) -> bytes | None:
+        time.sleep(0.3 if request.frame == 0 else 0.0)
+        return told(request) if request.frame == 0 else None
+
+    with replying(late) as address:
+        pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)] * 200, head_intrinsics(64, 48))
+        settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
+        source, look, until = ServerSource(TASK, settings, pictures), None, time.monotonic() + 20.0
+        first, turned = np.eye(4), poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, 0.8]))
+        assert source(first) is None, "the answer is late"
+        while look is None and time.monotonic() < until:
+            look = source(turned)
+    assert look is not None
+    np.testing.assert_array_equal(look.T_odometry_camera, first)
+    np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], [1.0, 0.0, 0.0], atol=1e-12)
+
+
 def test_a_silent_server_gives_no_look() -> None:
     with replying(lambda request: None) as address:
         pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)], head_intrinsics(64, 48))
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
-        assert ServerSource(TASK, settings, pictures)() is None
+        assert ServerSource(TASK, settings, pictures)(np.eye(4)) is None
 
 
 def test_a_look_is_as_old_as_the_object_that_was_seen_last() -> None:
     T = np.tile(np.eye(4), (1, 2, 1, 1))
     valid, inliers = np.array([[False, False]]), np.ones((1, 2))
     never = PoseEstimate(T_camera_object=T, valid=valid, age_s=np.full((1, 2), np.inf), inliers=inliers)
-    assert Look.of(never, 10**9) is None
-    look = Look.of(replace(never, age_s=np.array([[0.3, np.inf]])), 10**9)
+    assert Look.of(never, np.eye(4), 10**9) is None
+    look = Look.of(replace(never, age_s=np.array([[0.3, np.inf]])), np.eye(4), 10**9)
     assert look is not None and look.time_ns == 7 * 10**8
 
 
@@ -169,8 +188,9 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     shown = [picture_of_tag(number, 0.08, T_optical_tag, known.matrix) for number in (8, 7, 8)]
     camera: Any = Pictures(shown, known)
     source = TagSource(TASK, tmp_path / "tags.json", camera)
-    assert source() is None
-    look, later = source(), source()
+    turned = poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, 1.2]), [0.3, -0.2, 0.1])
+    assert source(np.eye(4)) is None
+    look, later = source(np.eye(4)), source(turned)
     assert look is not None and look.estimate.valid.all()
     found = look.estimate.T_camera_object[0, 0]
     expected = T_CAMERA_OPTICAL @ T_optical_tag @ poses.invert(poses.pose(numbers[:3], numbers[3:]))
@@ -178,4 +198,6 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     assert np.linalg.norm(poses.rotation_vector(found[:3, :3].T @ expected[:3, :3])) < 0.06
     assert later is not None and not later.estimate.valid.any()
     assert abs(later.time_ns - look.time_ns) < 10  # it grows old
-    assert source() is None
+    held = turned @ later.estimate.T_camera_object[0, 0]
+    np.testing.assert_allclose(held, found, atol=1e-12, err_msg="out of sight it stays where it was, the head turns")
+    assert source(np.eye(4)) is None

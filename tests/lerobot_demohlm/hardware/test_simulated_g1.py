@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gym_demohlm.errors import UnknownNameError
+from gym_demohlm.registry import get_task
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Faults
 from lerobot_demohlm.hardware.simulated_g1 import SimulatedG1, SimulatedSettings
@@ -18,6 +19,10 @@ def test_only_the_robot_may_vary() -> None:
         SimulatedSettings(task="LiftBox", interface="lo", variation="real:robot+objects")
     with pytest.raises(UnknownNameError, match="did you mean 'real'"):
         SimulatedSettings(task="LiftBox", interface="lo", variation="reel:robot")
+    with pytest.raises(RobotError, match="other shapes"):
+        SimulatedSettings(task="LiftBox", interface="lo", region="R4")
+    assert get_task("StackCube").wide_form is None
+    SimulatedSettings(task="StackCube", interface="lo", region="R4")
 
 
 def test_each_start_has_a_robot_of_its_own() -> None:

@@ -1,5 +1,7 @@
 """A recording session: states, going back bit for bit, the verdict before saving, a process that was killed."""
 
+import json
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +22,7 @@ from lerobot_demohlm.teleop.operator import OperatorPoses
 from lerobot_demohlm.teleop.record import script_of
 from lerobot_demohlm.teleop.review import last_held
 from lerobot_demohlm.teleop.session import REWIND_TICKS, RecordingSession, SessionError, SessionSettings
-from lerobot_demohlm.teleop.trial import TrialReport, TrialSettings
+from lerobot_demohlm.teleop.trial import Trial, TrialReport, TrialSettings
 
 TASK = get_task("LiftBox")
 ENGAGED = Controls(right=HandControls(pose=np.eye(4), engaged=True))
@@ -58,6 +60,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     seen["live"] = session.status()
     session.press("rewind")
     seen["rewound"] = session.status()
+    session.advance(ENGAGED)
+    seen["still held"] = session.status()
     session.advance(Controls())
     seen["waiting"] = session.status()
     again = []
@@ -98,9 +102,9 @@ def test_what_is_seen_while_it_is_recorded(recorded: dict[str, object]) -> None:
 
 
 def test_going_back_is_exact_and_waits(recorded: dict[str, object]) -> None:
-    live, rewound, waiting = (recorded[name] for name in ("live", "rewound", "waiting"))
-    assert rewound.tick == waiting.tick == live.tick - REWIND_TICKS  # type: ignore[attr-defined]
-    assert waiting.paused  # type: ignore[attr-defined]
+    live, rewound, held, waiting = (recorded[name] for name in ("live", "rewound", "still held", "waiting"))
+    assert rewound.tick == held.tick == waiting.tick == live.tick - REWIND_TICKS  # type: ignore[attr-defined]
+    assert held.paused and waiting.paused  # type: ignore[attr-defined]
     assert recorded["again"] == recorded["straight"]
 
 
@@ -209,3 +213,34 @@ def test_last_held() -> None:
     assert last_held(success) == 5 + HOLD_STEPS
     success[-3:] = True
     assert last_held(success) == 5 + HOLD_STEPS
+
+
+@pytest.mark.parametrize("fact", ["task", "model_hash", "controller_hash"])
+def test_a_recording_that_cannot_be_made_again_here_is_set_aside_and_kept(tmp_path: Path, fact: str) -> None:
+    session = make_session(tmp_path / "lift")
+    session.press("record")
+    session.carry_out(next(script(session)))
+    session.close()
+    facts = tmp_path / "lift.unfinished" / "start.json"
+    facts.write_text(json.dumps(json.loads(facts.read_text()) | {fact: "another"}))
+    rows = (tmp_path / "lift.unfinished" / "rows.bin").read_bytes()
+    session = make_session(tmp_path / "lift")
+    assert session.found is None
+    session.press("record")
+    session.press("discard")
+    session.close()
+    assert (tmp_path / "lift.unfinished.1" / "rows.bin").read_bytes() == rows
+
+
+def test_a_trial_whose_process_dies_says_so_and_leaves_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    trial = Trial(task=TASK, demonstration=demonstrations.load(None, TASK))
+    assert os.environ["OMP_NUM_THREADS"] == "3"
+    trial._process.kill()
+    until = time.monotonic() + 60.0
+    while not (report := trial.report()).finished and time.monotonic() < until:
+        time.sleep(0.01)
+    assert "exit code -9" in report.error and report.hopeless
+    trial.close()
