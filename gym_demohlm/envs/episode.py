@@ -153,7 +153,7 @@ class RunningEpisodes:
         the last action were out of bounds.
         """
         judge = self._judge
-        return {
+        info = {
             "is_success": self._strict.copy(),
             "success": judge.success.copy(),
             "success_ever": judge.success_ever.copy(),
@@ -162,9 +162,11 @@ class RunningEpisodes:
             "fell": judge.fell.copy(),
             "unstable": judge.unstable.copy(),
             "collided": judge.collided.copy(),
-            **{name: holds.copy() for name, holds in judge.failures.items()},
             "clipped": self._clipped.copy(),
         }
+        for name, holds in judge.failures.items():
+            info[name] = holds | info[name] if name in info else holds.copy()
+        return info
 
     def perception_faults(self, world: int = 0) -> dict[str, int]:
         """Return how often what went wrong with the eyes in a world's episode, by its reason."""

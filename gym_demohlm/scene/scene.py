@@ -144,10 +144,13 @@ class Scene:
         """Return ``physics`` and ``untouched`` of a world under some conditions.
 
         Raises:
-            SceneError: The scene was built without a variation, or the conditions name what it does not have.
+            SceneError: The scene was built without a variation.
+            UnknownNameError: The conditions are of an object that it does not have, or that is not loose.
         """
         if not conditions:
             return self.physics, self.untouched
+        for name in sorted(conditions.objects() - set(self.loose)):
+            raise UnknownNameError("condition of", name, self.loose)
         model = self._varied(conditions, drawn=False)
         for limb, joints in LIMBS.items():
             ratio = conditions.number("robot.gain", limb, plain=1.0)

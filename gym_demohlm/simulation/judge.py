@@ -37,6 +37,7 @@ FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 COLLISION_N = 60.0  # force between robot and obstacle that counts as a collision
 COLLISION_S = 0.3  # once it has lasted this long
 COLLISION_STEPS = round(COLLISION_S / STEP_DT)
+_AHEAD = (1.0, 0.0, 0.0)  # m, in the frame "head_camera"
 
 
 class Judge:
@@ -128,15 +129,18 @@ class Judge:
 
 def _stands(sim: "Simulation", worlds: np.ndarray) -> np.ndarray:
     """Return which of some worlds (n,) have no fault while the robot stands and keeps its posture for two seconds."""
-    before, on_tick, active = sim.snapshot(), sim.on_tick, np.zeros(sim.num_worlds, dtype=bool)
+    before, on_tick, gaze = sim.snapshot(), sim.on_tick, sim.p_camera_gaze
+    active = np.zeros(sim.num_worlds, dtype=bool)
     active[worlds], sim.on_tick = True, None
+    if gaze is not None:  # told in the camera's frame, and nobody looks meanwhile: the neck stays
+        sim.p_camera_gaze = np.broadcast_to(_AHEAD, gaze.shape)
     commands = sim.command
     commands[:, command.VELOCITY] = 0.0
     after = Judge(sim)
     for _ in range(STAND_STEPS):
         after.watch(sim.step(commands, active), active)
     sim.restore(before)
-    sim.on_tick = on_tick
+    sim.on_tick, sim.p_camera_gaze = on_tick, gaze
     return ~after.faulty[worlds]
 
 

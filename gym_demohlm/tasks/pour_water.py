@@ -57,12 +57,13 @@ def _build(spec: mujoco.MjSpec) -> None:
 
 
 def share_in_bowl(sim: "Worlds") -> np.ndarray:
-    """Return the share (N,) of the water that is inside the bowl."""
-    T_bowl_world = poses.invert(sim.pose("bowl"))
+    """Return the share (N,) of the water that is inside the bowl, whose size may differ from world to world."""
+    T_bowl_world, worlds = poses.invert(sim.pose("bowl")), range(sim.num_worlds)
+    size = np.array([sim.conditions(world).number("objects.size", "bowl", plain=1.0) for world in worlds])
     inside = []
     for name in DROPS:
         place = poses.transform(T_bowl_world, sim.pose(name)[:, :3, 3])
-        inside.append((norm(place[:, :2]) < BOWL_RADIUS) & (np.abs(place[:, 2]) < BOWL_HEIGHT / 2))
+        inside.append((norm(place[:, :2]) < size * BOWL_RADIUS) & (np.abs(place[:, 2]) < size * BOWL_HEIGHT / 2))
     return np.mean(inside, axis=0)
 
 

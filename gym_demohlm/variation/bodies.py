@@ -72,7 +72,11 @@ def _vary_object(
 
 
 def _half_size(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """Return half the extent (3,) of a body's own geoms that collide, along its axes [m]."""
+    """Return half the extent (3,) of a body's own geoms that collide, along its axes [m].
+
+    Geoms count as if they were not turned within the body, and a body whose geoms belong to its parts has none. To mend
+    either would change the worlds that results are of (docs/variation.md, "What is not varied").
+    """
     own = model.geom_bodyid == model.body(name).id
     own &= (model.geom_contype > 0) | (model.geom_conaffinity > 0)
     if not own.any():
@@ -138,8 +142,8 @@ def _vary_robot(spec: mujoco.MjSpec, plain: mujoco.MjModel, conditions: Conditio
         element = spec.joint(f"{joint}_joint")
         element.frictionloss = share * g1.motor(joint).dry_friction
     payload, shift = conditions.number("robot.payload", plain=0.0), conditions.numbers("robot.torso_com")
-    if payload != 0.0 or shift is not None:
-        mass = conditions.number("robot.link_mass", "waist", plain=1.0)
+    mass = conditions.number("robot.link_mass", "waist", plain=1.0)
+    if payload != 0.0 or shift is not None or mass != 1.0:
         moved = np.zeros(3) if shift is None else np.array(shift)
         _set_inertia(spec, plain, TORSO, mass, shift=moved, added=payload)
 

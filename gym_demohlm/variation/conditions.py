@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.task import InitialState
-from gym_demohlm.variation.factors import FACTORS
+from gym_demohlm.variation.factors import CLUTTER, FACTORS, LIMBS
 
 SEED = "robot.seed"
+_KNOWN = {"limb": tuple(LIMBS), "clutter": CLUTTER}  # what has numbers of its own, where the task does not say it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +24,7 @@ class Conditions:
         values: By the factor's key, with the name of a limb or an object behind it where each has its own.
 
     Raises:
-        UnknownNameError: A key is of no factor.
+        UnknownNameError: A key is of no factor, or not of what has numbers of its own. The scene knows the objects.
         SceneError: A factor has too many numbers or too few, or one beyond its bounds.
     """
 
@@ -33,10 +34,18 @@ class Conditions:
         """Check names and numbers: they may come from a file."""
         for key, numbers in self.values.items():
             if key == SEED:
+                if len(numbers) != 1 or not (math.isfinite(numbers[0]) and numbers[0] >= 0.0):
+                    raise SceneError(f"{key}={list(numbers)}", "one number, 0 or more", "restore the start")
                 continue
-            factor = FACTORS.get(".".join(key.split(".")[:2]))
+            group, _, rest = key.partition(".")
+            name, dot, target = rest.partition(".")
+            factor = FACTORS.get(f"{group}.{name}")
             if factor is None:
                 raise UnknownNameError("condition", key, FACTORS)
+            known = _KNOWN.get(factor.each)
+            if bool(dot) != (factor.each != "episode") or (known is not None and target not in known):
+                expected = known or (["no name"] if factor.each == "episode" else ["the name of an object"])
+                raise UnknownNameError(f"{factor.key} of", target, expected)
             low, high = factor.bounds
             if len(numbers) != factor.size or not all(math.isfinite(n) and low <= n <= high for n in numbers):
                 raise SceneError(
@@ -51,6 +60,11 @@ class Conditions:
     def write(self) -> InitialState:
         """Return them as keys of an initial state."""
         return {key: list(numbers) for key, numbers in self.values.items()}
+
+    def objects(self) -> set[str]:
+        """Return the names of the objects that have numbers of their own."""
+        parts = (key.split(".", 2) for key in self.values if key != SEED)
+        return {rest[0] for group, name, *rest in parts if FACTORS[f"{group}.{name}"].each == "object"}
 
     def __bool__(self) -> bool:
         """Return whether anything differs from the plain world."""

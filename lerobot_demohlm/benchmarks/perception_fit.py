@@ -20,7 +20,6 @@ from lerobot_demohlm.reports.films import Snapshot, generated_take
 FITTED = "rgbd"
 _REPEATS = 3  # of the model on each fresh episode
 _QUANTILES = (0.5, 0.9)
-WITHIN = 0.25  # of the measured quantile
 
 
 def error_track(sim: Simulation, snapshots: Sequence[Snapshot], perceiver: Perceiver, seed: int) -> ErrorTrack:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -189,18 +188,6 @@ def drawn(task: Task, region: str, seed: int, index: int, every: int = 1) -> Ite
                 )
             yield picture
     sim.close()
-
-
-def contact_sheet(pictures: Sequence[np.ndarray], columns: int, path: Path) -> None:
-    """Write pictures of one size side by side, in rows, as one image file."""
-    height, width, _ = pictures[0].shape
-    rows = -(-len(pictures) // columns)
-    sheet = np.zeros((rows * height, columns * width, 3), np.uint8)
-    for index, picture in enumerate(pictures):
-        top, left = index // columns * height, index % columns * width
-        sheet[top : top + height, left : left + width] = picture
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
 
 
 def _wire(

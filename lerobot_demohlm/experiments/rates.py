@@ -78,7 +78,9 @@ def mean_rate(cells: Sequence[Sequence[PolicyResult]]) -> tuple[float, float, fl
 
 
 def latest(lines: Iterable[PolicyResult], *, any_steps: bool = False) -> list[PolicyResult]:
-    """Keep the last line of each training seed of each cell, of those with the stamp of the cell's last line.
+    """Keep the last line of each training seed of each cell, of those that were made as the cell's last line was.
+
+    That is by what generation does, by hyperparameters and from the first start.
 
     Args:
         lines: Of any cells.
@@ -90,8 +92,12 @@ def latest(lines: Iterable[PolicyResult], *, any_steps: bool = False) -> list[Po
     kept = []
     for found in group(lines, *keys).values():
         usual = [line for line in found if not steps_title(line)] or found
-        kept += {line.train_seed: line for line in usual if line.stamp == usual[-1].stamp}.values()
+        kept += {line.train_seed: line for line in usual if _made_by(line) == _made_by(usual[-1])}.values()
     return kept
+
+
+def _made_by(line: PolicyResult) -> tuple[str | None, str | None, int | None]:
+    return line.stamp, line.recipe, line.first_seed
 
 
 def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:

@@ -23,7 +23,6 @@ MESSAGE_FAULTS = ("loss", "delay", "reorder", "duplicate", "bad_crc")
 SENSOR_FAULTS = (
     "frozen_tick", "nan", "hot_motor", "mode_machine", "stuck_encoder", "imu_drift", "remote_estop", "push",
 )  # fmt: skip
-WORLD_FAULTS = ("pose_dropout",)
 PROCESS_FAULTS = ("kill", "stop", "full_disk")
 KINDS = {
     "loss": "share of states that are lost; 1 for all of them",

@@ -113,7 +113,7 @@ class PolicyProcess:
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
         due = time.monotonic()
         while not self._stop:
-            began = self._act(due)
+            began = self._act()
             due = (time.monotonic() if began else due) + STEP_DT
             due = max(due, time.monotonic())
             self._sleep_until(due)
@@ -129,7 +129,7 @@ class PolicyProcess:
     def _begins(self, control: np.void) -> bool:
         return int(control["mode"]) == Mode.RUN and int(control["since_ns"]) != self._run_ns
 
-    def _act(self, due: float) -> bool:
+    def _act(self) -> bool:
         """Act once; returns whether a run has begun with it."""
         control, state, pose = (self._slots[name].read() for name in ("control", "state", "pose"))
         read = self._slots["servos"].read()

@@ -17,7 +17,6 @@ from lerobot_demohlm.hardware.servo_units import Servo
 
 _HEADER = b"\xff\xff\xfd\x00"
 _PING, _READ, _WRITE, _STATUS, _SYNC_READ, _SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x82, 0x83
-_BROADCAST = 0xFE
 _TABLE = 256  # bytes of a servo's control table that exist here
 
 

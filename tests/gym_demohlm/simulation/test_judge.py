@@ -10,7 +10,7 @@ from gym_demohlm.envs.episode import RunningEpisodes
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation, StepResult
 from gym_demohlm.simulation.judge import COLLISION_N, COLLISION_STEPS, Judge, held, outcome
-from gym_demohlm.timing import HOLD_STEPS, TICKS
+from gym_demohlm.timing import HOLD_STEPS, STAND_STEPS, TICKS
 from tests.helpers.hold import HoldController
 
 TASK = get_task("LiftBox")
@@ -128,6 +128,26 @@ def test_a_strict_success_has_no_fault_before_it_and_stands_after_it() -> None:
     assert all(np.array_equal(values, before[name]) for name, values in sim.snapshot().items())
     judge.reset(worlds)
     assert not judge.faulty.any() and not judge.strict(worlds).any()  # not held any more
+    sim.close()
+
+
+def test_the_neck_stays_while_nobody_looks() -> None:
+    """The two seconds of the strict judge: what eyes have told last is in a frame that would turn with the neck."""
+    sim = Simulation(dataclasses.replace(TASK, success=lambda sim: np.ones(sim.num_worlds, dtype=bool)))
+    judge, necks, step = Judge(sim), [], sim.step
+    for _ in range(HOLD_STEPS):
+        judge.watch(sim.step(command.rest()[None]), np.ones(1, dtype=bool))
+    told = sim.p_camera_gaze = np.array([[1.0, 0.2, 0.0]])
+
+    def note(commands: np.ndarray, active: np.ndarray) -> StepResult:
+        result = step(commands, active)
+        necks.append(sim.neck_positions[0])
+        return result
+
+    sim.step = note  # type: ignore[method-assign]
+    judge.strict(np.arange(1))
+    assert len(necks) == STAND_STEPS and np.ptp(necks, axis=0).max() < 0.03
+    assert sim.p_camera_gaze is told
     sim.close()
 
 

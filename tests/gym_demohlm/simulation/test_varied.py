@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.control import command
-from gym_demohlm.errors import SceneError
+from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot import g1
 from gym_demohlm.scene import build_scene
@@ -128,6 +128,13 @@ def test_encoders_err_within_their_bounds_and_servos_may_be_late() -> None:
     elbow = g1.BODY_JOINTS.index("left_elbow")
     late, prompt = sim.joint_positions[:, elbow]
     assert 0.0 < late - g1.HOME[elbow] < prompt - g1.HOME[elbow]
+    sim.close()
+
+
+def test_conditions_of_an_object_that_is_not_there_are_refused() -> None:
+    sim = Simulation(TASK, variation=get_variation("real"))
+    with pytest.raises(UnknownNameError, match=r"'cub'.*did you mean 'cube'"):
+        sim.reset([{**START, "objects.mass.cub": [2.0]}])
     sim.close()
 
 

@@ -8,7 +8,8 @@ from gym_demohlm.control import command
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.tasks import handover
-from gym_demohlm.tasks.pour_water import BOWL_POSITION, DROPS, NUM_DROPS, share_in_bowl
+from gym_demohlm.tasks.pour_water import BOWL_POSITION, BOWL_RADIUS, DROPS, NUM_DROPS, share_in_bowl
+from gym_demohlm.variation import get_variation
 from tests.helpers.hold import HoldController
 
 
@@ -55,6 +56,17 @@ def test_an_exchanged_cube_must_be_gripped_by_the_left_hand() -> None:
     T[1, 3] += 0.5
     put(sim, "cube", T)
     assert not sim.success()[0]
+
+
+@pytest.mark.parametrize(("size", "share"), [(0.85, 0.0), (1.0, 1.0)])
+def test_water_beside_a_small_bowl_is_not_in_it(size: float, share: float) -> None:
+    task = get_task("PourWater")
+    sim = Simulation(task, variation=get_variation("hard"))
+    sim.reset([{**task.default_state(), "objects.size.bowl": [size]}])
+    bowl = sim.pose("bowl")[0]
+    for name in DROPS:  # beyond the wall of the small one
+        put(sim, name, bowl @ poses.pose([0.95 * BOWL_RADIUS, 0.0, 0.0]))
+    assert share_in_bowl(sim)[0] == share
 
 
 def test_water_stays_in_the_bottle_and_counts_in_the_bowl() -> None:

@@ -87,6 +87,11 @@ def test_conditions_are_keys_of_an_initial_state() -> None:
         ({"objects.mass.cube": [1.0, 2.0]}, SceneError, "1 numbers"),
         ({"objects.mass.cube": [float("nan")]}, SceneError, "restore the start"),
         ({"robot.strength.waist": [-4.0]}, SceneError, "numbers from"),
+        ({"robot.strength.left_foot": [1.0]}, UnknownNameError, "did you mean 'left_leg'"),
+        ({"robot.strength": [1.0]}, UnknownNameError, "one of left_arm"),
+        ({"start.arms.left": [0.0] * 14}, UnknownNameError, "expected one of no name"),
+        ({"objects.mass": [1.0]}, UnknownNameError, "the name of an object"),
+        ({"robot.seed": [float("nan")]}, SceneError, "0 or more"),
     ],
 )
 def test_damaged_conditions_are_refused(state: dict[str, list[float]], error: type[Exception], words: str) -> None:
