@@ -36,7 +36,8 @@ class UnknownNameError(DemoHLMError):
         names = sorted(available)
         close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
         remedy = f"did you mean {close[0]!r}?" if close else "choose one of these"
-        super().__init__(f"{kind} {name!r}", f"one of {', '.join(names)}", remedy)
+        told = ", ".join(repr(name) if "," in name else name for name in names)
+        super().__init__(f"{kind} {name!r}", f"one of {told}", remedy)
 
 
 class CommandError(DemoHLMError):

@@ -1,4 +1,4 @@
-"""Nothing -> a dataset, a policy trained on it, its score, a video and a report, in ten minutes on two cores."""
+"""Nothing -> a dataset, a policy trained on it, its score, a video and a report, in some minutes on two cores."""
 
 import logging
 import os

@@ -144,9 +144,13 @@ def tune(weights: Path, output: Path, gait: Mapping[str, Any]) -> None:
         gait: Name of a setting of ``Gait`` -> its value.
 
     Raises:
+        UnknownNameError: There is no such setting.
         SceneError: As ``rewrite``.
     """
     now = Weights(weights).settings.gait
+    for name in gait:
+        if name not in vars(now):
+            raise UnknownNameError("setting of the gait", name, vars(now))
     rewrite(weights, output, gait={**vars(now), **gait})
 
 

@@ -235,10 +235,12 @@ def initial_state(task: Task, region: str, rng: np.random.Generator, options: di
     """Return where an episode starts: ``options["initial_state"]``, or drawn from ``options["region"]`` or region.
 
     Raises:
-        UnknownNameError: The task has no such region.
+        UnknownNameError: The task has no such region, or there is no such option.
         SceneError: The initial state in the options is not a dictionary, or R4 has other things than these worlds.
     """
     options = options or {}
+    for name in sorted(options.keys() - {"initial_state", "region"}):
+        raise UnknownNameError("option of reset", name, ("initial_state", "region", "reset_mask"))
     given, asked = options.get("initial_state"), options.get("region", region)
     if given is None:
         if asked == WIDEST and task.wide_form is not None:

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, fields
 
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.timing import STEP_DT
 
 SOURCES = ("exact", "model", "rgbd", "apriltag", "remote")
 MASKS = ("oracle", "color", "server")
@@ -65,6 +66,8 @@ class PerceptionSettings:
                 "a mesh scale of 0.5 to 2, a dropout of 0 to 1, a timeout above 0",
                 "correct them",
             )
+        if not math.isclose(self.latency_s, STEP_DT * round(self.latency_s / STEP_DT), abs_tol=1e-9):
+            raise SceneError(f"latency_s={self.latency_s:g}", f"a multiple of {STEP_DT:g} s", "correct it")
         of_drawing = self.camera_error != 0.0 or self.mesh_scale != 1.0
         if of_drawing and self.source not in _DRAWING:
             raise SceneError(

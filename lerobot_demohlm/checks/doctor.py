@@ -27,6 +27,9 @@ EXTRAS = {
     "rsl-rl-lib": ("rsl_rl", "wbc", "demohlm train-controller"),
     "tensorboard": ("tensorboard", "wbc", "curves of demohlm train-controller"),
     "ray": ("ray", "ray", "demohlm generate --backend ray"),
+    "cyclonedds": ("cyclonedds", "g1", "demohlm deploy, simulate-robot and robot-check"),
+    "dynamixel-sdk": ("dynamixel_sdk", "g1", "servos of demohlm deploy"),
+    "transformers": ("transformers", "vla", "LeRobot's vision-language policies"),
 }
 """Packages that come with an extra of the distribution: their module, the extra, and what needs it."""
 FEATURES = ("avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16")

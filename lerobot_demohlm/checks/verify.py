@@ -169,7 +169,9 @@ def verify(
     facts, lengths = sources(root), reader.lengths(root)
     for run in facts:
         if run["task"] != task.name:
-            raise DatasetError(f"a dataset of {run['task']}", f"one of {task.name}", "name its task")
+            raise DatasetError(
+                f"a dataset of {run['task']}", f"one of {task.name}", "name its task, or leave --task out"
+            )
     chosen = sorted(lengths if episodes is None else set(episodes))
     unknown = [episode for episode in chosen if episode not in lengths]
     if unknown or num_workers < 1:

@@ -78,7 +78,9 @@ def _carry_out(verb: Verb, arguments: list[str]) -> int:
         if extra is None:
             raise
         raise DemoHLMError(
-            f"an installation without {error.name}", f"the extra [{extra}]", f"uv sync --extra {extra}"
+            f"an installation without {error.name}",
+            f"the extra [{extra}]",
+            f'uv sync --extra {extra}, or pip install ".[{extra}]"',
         ) from error
 
 

@@ -26,6 +26,7 @@ class Options:
 def run(options: Options) -> None:
     """Write the card of a dataset with its facts beside it, or render all cards again."""
     from lerobot_demohlm.datasets.card import render_ready_cards, write_ready_card
+    from lerobot_demohlm.datasets.hub import require_repo_id
 
     if (options.root is None) != (options.repo_id is None):
         raise DatasetError("one of --root and --repo-id", "both or none", "give the other one too")
@@ -33,4 +34,5 @@ def run(options: Options) -> None:
         for path in render_ready_cards(options.folder):
             print(path)
     else:
+        require_repo_id(options.repo_id)
         print(write_ready_card(options.root, options.repo_id, options.folder))

@@ -35,10 +35,20 @@ class Options:
 
 
 def run(options: Options) -> None:
-    """Record a demonstration with the task's scripted operator, or with a person at a page."""
+    """Record a demonstration with the task's scripted operator, or with a person at a page.
+
+    Raises:
+        DemonstrationError: The root exists, a number is out of range, or nothing was saved.
+    """
     from gym_demohlm.registry import get_task
 
     task = get_task(options.task)
+    if not 0 <= options.port <= 65535 or not 0.1 <= options.scale <= 10.0 or options.trial < 0:
+        raise DemonstrationError(
+            f"port={options.port}, scale={options.scale:g}, trial={options.trial}",
+            "a port of 0 to 65535, a scale of 0.1 to 10 and 0 or more attempts",
+            "correct them",
+        )
     if options.root.exists():
         raise DemonstrationError(f"the root {options.root}, which exists", "a new path", "choose another --root")
     if options.teleop == "web":

@@ -70,6 +70,10 @@ def _page(options: Options) -> str:
         raise DatasetError(f"no file {options.video}", "an MP4", "check --video")
     facts = None if options.root is None else read_facts(options.root)
     rollouts = [] if options.evaluation is None else read_rollouts(options.evaluation)
+    tasks = {rollout.task for rollout in rollouts} | ({facts["task"]} if facts is not None else set())
+    if len(tasks) > 1:
+        got = f"a dataset and rollouts of {' and '.join(sorted(tasks))}"
+        raise DatasetError(got, "of one task", "check --root and --evaluation")
     if rollouts:
         title = f"{rollouts[0].task}, {rollouts[0].region}"
     else:

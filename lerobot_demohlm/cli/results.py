@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.cli.parsing import default
 
 
@@ -25,9 +26,15 @@ class Options:
 
 
 def run(options: Options) -> None:
-    """Print all tables, or write the files that are named."""
+    """Print all tables, or write the files that are named.
+
+    Raises:
+        DatasetError: There is no folder of results.
+    """
     from lerobot_demohlm.experiments.readme_tables import tables, update_page, write_results
 
+    if not options.results.is_dir():
+        raise DatasetError(f"no folder {options.results}", "a folder of JSON lines", "check --results")
     pages = (*([options.readme] if options.readme else []), *options.pages)
     if options.output is None and not pages:
         print(tables(options.results))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from gym_demohlm.errors import DemonstrationError
 from lerobot_demohlm.cli.parsing import default
 
 
@@ -15,7 +16,7 @@ class Options:
         task: Name of the task, such as LiftBox.
         root: Directory of the demonstration.
         figure: Draw the timeline into this PNG or SVG file.
-        write_corrections: Write the segments to meta/segments.json, to be corrected there by hand.
+        write_corrections: Write the segments to meta/segments.json of --root, to be corrected there by hand.
     """
 
     task: str
@@ -25,13 +26,23 @@ class Options:
 
 
 def run(options: Options) -> None:
-    """Print the events, segments and pauses of a demonstration, draw it, write segments down for corrections."""
+    """Print the events, segments and pauses of a demonstration, draw it, write segments down for corrections.
+
+    Raises:
+        DemonstrationError: It cannot be read, or what is to be written is the package's own or no picture.
+    """
     from gym_demohlm.registry import get_task
     from gym_demohlm.timing import STEP_DT
     from lerobot_demohlm.demonstrations.demonstration import load
     from lerobot_demohlm.demonstrations.pauses import pauses
     from lerobot_demohlm.demonstrations.segmentation import events, segment, write_corrections
 
+    if options.write_corrections and options.root is None:
+        raise DemonstrationError(
+            "--write-corrections of a packaged demonstration", "one of your own", "copy it, and give --root"
+        )
+    if options.figure is not None and options.figure.suffix not in (".png", ".svg"):
+        raise DemonstrationError(f"the figure {options.figure}", "a name that ends in .png or .svg", "correct --figure")
     task = get_task(options.task)
     demonstration = load(options.root, task)
     print("   tick  hand   event")
@@ -50,6 +61,6 @@ def run(options: Options) -> None:
 
         write_timeline(demonstration, options.figure)
         print(f"\n{options.figure}")
-    if options.write_corrections:
+    if options.write_corrections and options.root is not None:
         path = write_corrections(demonstration, task, options.root)
         print(f"\n{path}: correct it by hand; remove it to have the segments found again")

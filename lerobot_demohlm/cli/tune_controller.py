@@ -31,7 +31,11 @@ def run(options: Options) -> None:
     from gym_demohlm.control.whole_body import Weights
 
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    controllers.tune(controllers.find(options.controller), options.output, dict(map(_parse, options.gait)))
+    gait = dict(map(_parse, options.gait))
+    try:
+        controllers.tune(controllers.find(options.controller), options.output, gait)
+    except SceneError as error:
+        raise SceneError(error.got, error.expected, "correct --gait") from error
     print(json.dumps({"weights": str(options.output), "hash": Weights(options.output).hash}))
 
 

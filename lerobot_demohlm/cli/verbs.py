@@ -44,7 +44,7 @@ VERBS = (
     Verb(
         name="quickstart",
         group="begin here",
-        help="generate a small dataset, train a policy on it, score it, and write a report, in ten minutes",
+        help="generate a small dataset, train a policy on it, score it, and write a report, in some minutes",
         example="demohlm quickstart",
     ),
     Verb(
@@ -99,7 +99,7 @@ VERBS = (
         name="evaluate",
         group="policies",
         help="roll a policy out from seeded starts and write one JSON line an episode",
-        example="demohlm evaluate --policy outputs/lift_box/pretrained_model --task LiftBox --region R2",
+        example="demohlm evaluate --policy outputs/mlp/checkpoints/last/pretrained_model --task LiftBox --region R2",
     ),
     Verb(
         name="leaderboard",
@@ -117,7 +117,7 @@ VERBS = (
         name="deploy",
         group="robot",
         help="have a policy drive a G1, real or simulated, at the other end of a network",
-        example="demohlm deploy --policy outputs/lift_box/pretrained_model --task LiftBox --interface lo",
+        example="demohlm deploy --policy outputs/mlp/checkpoints/last/pretrained_model --task LiftBox --interface lo",
     ),
     Verb(
         name="simulate-robot",

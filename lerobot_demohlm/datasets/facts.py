@@ -173,10 +173,15 @@ def perception_fit(task: Task, facts: Mapping[str, Any]) -> str:
     return read_model(path, task).hash
 
 
-def require_new_root(root: Path) -> None:
-    """Raise ``DatasetError`` where the root exists: a dataset is never written over another one."""
+def require_new_root(root: Path, option: str = "--root") -> None:
+    """Raise ``DatasetError`` where a directory exists that is to be made: nothing is ever written over.
+
+    Args:
+        root: The directory.
+        option: What names it on the command line.
+    """
     if root.exists():
-        raise DatasetError(f"the root {root}, which exists", "a path that does not exist", "choose another --root")
+        raise DatasetError(f"{root}, which exists", "a path that does not exist", f"choose another {option}")
 
 
 def count_outcomes(records: Iterable[dict[str, Any]]) -> dict[str, int]:

@@ -33,8 +33,7 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
             "push it with LeRobotDataset(...).push_to_hub()",
         )
     facts = read_facts(root)
-    if repo_id.count("/") != 1 or not all(repo_id.split("/")):
-        raise DatasetError(f"repo id {repo_id!r}", "user/name", "correct --repo-id")
+    require_repo_id(repo_id)
 
     import httpx
     from huggingface_hub import HfApi
@@ -67,3 +66,16 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
             "check the network, the repo id, and `hf auth login`",
         ) from error
     return str(url)
+
+
+def require_repo_id(repo_id: str) -> None:
+    """Raise ``DatasetError`` where a dataset cannot be called so on the hub."""
+    from huggingface_hub.errors import HFValidationError
+    from huggingface_hub.utils import validate_repo_id
+
+    try:
+        validate_repo_id(repo_id)
+    except HFValidationError as error:
+        raise DatasetError(f"repo id {repo_id!r} ({error})", "user/name", "correct --repo-id") from error
+    if "/" not in repo_id:
+        raise DatasetError(f"repo id {repo_id!r}", "user/name", "correct --repo-id")

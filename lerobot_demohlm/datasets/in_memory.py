@@ -24,6 +24,7 @@ from lerobot.datasets.compute_stats import get_feature_stats
 from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
+from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.held_pictures import HeldPictures, fit_in_memory
 from lerobot_demohlm.datasets.origin import is_generated
 from lerobot_demohlm.datasets.writer import to_numpy
@@ -87,6 +88,10 @@ class InMemoryDataset(LeRobotDataset):
         if not self.is_held:
             return
         table: Any = self.hf_dataset.with_format("arrow")[:]
+        missing = sorted(self.meta.features.keys() - set(self.meta.video_keys) - set(table.column_names))
+        if missing:
+            got, expected = f"{self.root} without the column {missing[0]}", "all that its meta/info.json names"
+            raise DatasetError(got, expected, "restore the dataset, or generate it again")
         columns = {name: to_numpy(table.column(name)) for name in table.column_names}
         self._columns = {name: torch.from_numpy(values.copy()) for name, values in columns.items()}
         self._tasks = list(self.meta.tasks.index)  # pyright: ignore[reportOptionalMemberAccess]

@@ -261,7 +261,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         metadata = json.loads((root / META_PATH).read_text())
     except FileNotFoundError:
         raise DemonstrationError(
-            f"{root} without {META_PATH}", "a demonstration", "record one with `demohlm record`"
+            f"{root} without {META_PATH}", "a demonstration", "name its directory, or record one with `demohlm record`"
         ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise DemonstrationError(f"{root / META_PATH}, damaged ({error})", "a JSON object", "record it again") from None
@@ -272,7 +272,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         )
     if task is not None and metadata.get("task") != task.name:
         raise DemonstrationError(
-            f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another --demonstration"
+            f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another one, or another --task"
         )
     demonstration = _read(root, task or get_task(str(metadata.get("task"))), metadata)
     if demonstration.recording_hash != metadata.get("content_hash"):

@@ -27,7 +27,6 @@ from lerobot_demohlm.demonstrations.demonstration import (
     CONTACT_FORCE_N,
     CORRECTIONS_PATH,
     Demonstration,
-    default_root,
     require_contact,
 )
 from lerobot_demohlm.demonstrations.segments import ANCHORS, Anchor, Event, Segment
@@ -336,15 +335,15 @@ def groups(segments: Sequence[Segment]) -> list[tuple[Segment, ...]]:
     return [tuple(group) for _, group in sorted(grouped.items(), key=lambda item: item[0][1])]
 
 
-def write_corrections(demonstration: Demonstration, task: Task, root: Path | None = None) -> Path:
+def write_corrections(demonstration: Demonstration, task: Task, root: Path) -> Path:
     """Write the segments of a demonstration into its directory, to be corrected by hand; return the file.
 
     Args:
         demonstration: Of the task.
         task: Of the demonstration.
-        root: Directory of the demonstration; the packaged one by default.
+        root: Directory of the demonstration.
     """
-    path = (root or default_root(task)) / CORRECTIONS_PATH
+    path = root / CORRECTIONS_PATH
     content = {"segments": [asdict(entry) for entry in segment(demonstration, task)]}
     path.write_text(json.dumps(content, indent=2) + "\n")
     return path

@@ -16,7 +16,7 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, summarize
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting
-from lerobot_demohlm.evaluation.scoring import SEEDS_A_CELL, first_seed
+from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.results import commit
 
@@ -62,8 +62,8 @@ def run(
         DatasetError: A result is there already, the rollouts are of another policy, or ``trial`` is out of range.
     """
     task, count = get_task(task).name, PROTOCOL.episodes if trial is None else trial
-    if not 1 <= count <= SEEDS_A_CELL:
-        raise DatasetError(f"trial={trial}", f"1 to {SEEDS_A_CELL} rollouts a cell", "correct --trial")
+    if not 1 <= count <= PROTOCOL.episodes:
+        raise DatasetError(f"trial={trial}", f"1 to {PROTOCOL.episodes} rollouts a cell", "correct --trial")
     if (output / RESULT).exists():
         raise DatasetError(f"{output / RESULT}, which exists", "a new directory", "choose another --output")
     output.mkdir(parents=True, exist_ok=True)
@@ -133,7 +133,7 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a result file and check that it is as it was written, its rollouts with it where they are beside it.
+    """Read a result file and check that it is as it was written, and so its card and rollouts where they are beside it.
 
     Nobody can see who signed it: who edits a file can sign it again. So its numbers are checked against each other,
     and against the rollouts.
@@ -161,6 +161,9 @@ def read(path: Path) -> dict[str, Any]:
         )
     try:
         _require_consistent(Path(path), content)
+        page, found = Path(path).with_name(CARD), card({**content, "sha256": signed})
+        if page.exists() and page.read_text() != found:
+            raise DatasetError(f"{page}, edited", "the card of the result", "measure the policy again")
     except (KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise DatasetError(f"{path}, damaged ({error!r})", "a result as it was written", "measure it again") from error
     return {**content, "sha256": signed}

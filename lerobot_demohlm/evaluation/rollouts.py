@@ -21,12 +21,14 @@ from gym_demohlm.control import command
 from gym_demohlm.control.controllers import DEFAULT
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.envs.vector_env import DemoHLMVectorEnv
-from gym_demohlm.errors import PolicyError
+from gym_demohlm.errors import PolicyError, UnknownNameError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import judge
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.evaluation.rollout import Rollout
+from lerobot_demohlm.policies.devices import require_device
+from lerobot_demohlm.policies.training import checkpoint
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
@@ -83,12 +85,18 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
         device: Where it runs.
 
     Raises:
-        PolicyError: There is no checkpoint, or its inputs or outputs are not those of the task.
+        PolicyError: There is no checkpoint or no such device, the policy was trained on another task, or its inputs or
+            outputs are not those of the task.
     """
-    path = Path(path)
+    path, within = Path(path), checkpoint(Path(path))
     for file in ("config.json", "model.safetensors"):
         if not (path / file).is_file():
-            raise PolicyError(f"{path} without {file}", "a pretrained_model of lerobot-train", "check --policy")
+            remedy = f"name {within}" if within.is_dir() else "check --policy"
+            raise PolicyError(f"{path} without {file}", "a pretrained_model of lerobot-train", remedy)
+    require_device(device)
+    trained_on = trained_task(path)
+    if trained_on not in (None, get_task(task).name):
+        raise PolicyError(f"a policy trained on {trained_on}", f"one for {get_task(task).name}", "check --task")
 
     from lerobot.configs import PreTrainedConfig
     from lerobot.envs import env_to_policy_features
@@ -131,6 +139,25 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
 def _fits(key: str, shape: tuple[int, ...], offered: tuple[int, ...]) -> bool:
     """Tell whether the environment can give a policy a feature; it draws pictures of any size."""
     return shape == offered or (key.startswith("observation.images.") and len(shape) == 3 and shape[0] == offered[0])
+
+
+def trained_task(path: Path, *, or_scored: bool = False) -> str | None:
+    """Return the name of the task whose dataset a checkpoint was trained on; None where nothing tells it.
+
+    Args:
+        path: Its ``pretrained_model`` directory.
+        or_scored: Where the dataset is not there, or has several tasks: take the task that training was scored on.
+    """
+    trained = _training(path)
+    root = (trained.get("dataset") or {}).get("root")
+    facts = Path(root) / "meta" / "demohlm.json" if root else None
+    name = json.loads(facts.read_text()).get("task") if facts is not None and facts.is_file() else None
+    if name is None and or_scored:
+        name = (trained.get("env") or {}).get("task")
+    try:
+        return get_task(str(name)).name if name else None
+    except UnknownNameError:
+        return None
 
 
 def _training(path: Path) -> dict[str, Any]:

@@ -215,12 +215,17 @@ def plan(
 
     Raises:
         UnknownNameError: No such table, task, region, policy, preset, variant, variation or perception.
+        PolicyError: What concerns policies is chosen for the table of regions.
     """
     if table not in TABLES:
         raise UnknownNameError("table", table, TABLES)
     grid = replace(_GRIDS[table], **{name: values for name, values in chosen.items() if values is not None})
     names = list(dict.fromkeys(get_task(name).name for name in grid.tasks or all_tasks()))
     if table == "regions":
+        idle = [name for name in ("sizes", "seeds", "policies", "variants", "perceptions") if chosen.get(name)]
+        if idle or steps is not None:
+            name = (idle or ["steps"])[0]
+            raise PolicyError(f"{name} for the table of regions", "options of generation", f"leave --{name} out")
         return [
             RegionCell(task=task, region=region, variation=variation)
             for variation in grid.variations

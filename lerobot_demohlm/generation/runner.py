@@ -25,6 +25,7 @@ from gym_demohlm.scene import build_scene
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions, perception_fit
+from lerobot_demohlm.datasets.hub import require_repo_id
 from lerobot_demohlm.datasets.wordings import wordings
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
@@ -36,6 +37,7 @@ from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
 from lerobot_demohlm.reproducibility import provenance
+from lerobot_demohlm.reproducibility.processes import hush_torchcodec
 
 if TYPE_CHECKING:
     from lerobot_demohlm.generation.painting import Painter, StateRecorder
@@ -54,8 +56,11 @@ def generate(request: GenerationRequest) -> GenerationSummary:
             is at work there, or no attempt succeeded.
         KeyboardInterrupt: Stopped from the keyboard; it says what is kept.
     """
+    hush_torchcodec()
     task = get_task(request.task)
     task.region(request.region)
+    if request.repo_id is not None:
+        require_repo_id(request.repo_id)
     if request.num_workers < 1 or request.seed < 0:
         raise DatasetError(
             f"num_workers={request.num_workers}, seed={request.seed}",

@@ -14,7 +14,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, act, load_policy
+from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, act, load_policy, trained_task
 from lerobot_demohlm.hardware import records, robot_observation
 from lerobot_demohlm.hardware.records import Mode
 
@@ -42,43 +42,18 @@ def check_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
     """Load a policy that can drive a robot.
 
     Raises:
-        PolicyError: There is none, its features are not those of the task, it looks at images, or it was trained on a
-            task of other hands.
+        PolicyError: As ``load_policy``, it looks at images, or it was trained for a task of other hands.
     """
     loaded = load_policy(path, task, device)
     if loaded.needs_images:
         raise PolicyError("a policy that looks at images", "one that sees poses", "train one on state and poses")
-    trained_on = trained_task(path)
-    hands = get_task(task).hands
+    trained_on, hands = trained_task(path, or_scored=True), get_task(task).hands
     if trained_on is not None and get_task(trained_on).hands != hands:
         raise PolicyError(
             f"a policy for {get_task(trained_on).hands} hands ({trained_on})", f"one for {hands} hands ({task})",
             "mount those hands, or choose another --policy",
         )  # fmt: skip
     return loaded
-
-
-def trained_task(path: Path) -> str | None:
-    """Return the name of the task that a checkpoint was trained on; None where nothing tells."""
-    import json
-
-    from gym_demohlm.errors import DemoHLMError
-
-    file = path / "train_config.json"
-    if not file.is_file():
-        return None
-    trained = json.loads(file.read_text())
-    name = (trained.get("env") or {}).get("task")
-    root = (trained.get("dataset") or {}).get("root")
-    facts = Path(root) / "meta" / "demohlm.json" if root else None
-    if not name and facts is not None and facts.is_file():
-        name = json.loads(facts.read_text()).get("task")
-    if not name:
-        return None
-    try:
-        return get_task(str(name)).name
-    except DemoHLMError:
-        return None
 
 
 class PolicyProcess:

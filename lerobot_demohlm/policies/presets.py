@@ -304,7 +304,7 @@ def train_config(
 
     Raises:
         UnknownNameError: No such policy or preset.
-        PolicyError: Fewer than one step or episode.
+        PolicyError: Fewer than one step or episode, or a seed out of range.
     """
     from lerobot.configs.default import DatasetConfig
     from lerobot.configs.train import TrainPipelineConfig
@@ -315,6 +315,8 @@ def train_config(
     steps = chosen.steps if steps is None else steps
     if steps < 1 or (num_episodes is not None and num_episodes < 1):
         raise PolicyError(f"steps={steps}, num_episodes={num_episodes}", "1 or more", "correct them")
+    if not 0 <= seed < 2**32:
+        raise PolicyError(f"seed={seed}", "0 to 4294967295", "correct --seed")
     config = policy_config(chosen, steps, device)
     given = input_features(dataset_root, chosen.sees)
     if given is not None:

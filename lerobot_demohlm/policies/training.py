@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import require_new_root
+from lerobot_demohlm.policies.devices import require_device
 from lerobot_demohlm.policies.presets import PRESETS, train_config
 
 if TYPE_CHECKING:
@@ -56,10 +57,11 @@ def train(
 
     Raises:
         UnknownNameError: No such policy or preset.
-        PolicyError: Fewer than one step or episode.
-        DatasetError: The root exists, or the dataset has fewer episodes.
+        PolicyError: Fewer than one step or episode, a seed out of range, or a device that is not here.
+        DatasetError: The root exists, the dataset lacks a column, or the dataset has fewer episodes.
     """
-    require_new_root(root)
+    require_new_root(root, "--output")
+    require_device(device)
     config = train_config(
         dataset_root,
         root,

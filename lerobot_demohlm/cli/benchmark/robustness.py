@@ -13,7 +13,7 @@ class Options:
     """Options of ``demohlm benchmark robustness``.
 
     Attributes:
-        policy: A pretrained_model directory; without one, nothing is measured.
+        policy: A pretrained_model directory; without one, nothing is measured, and the lines of --results are shown.
         task: Name of the task, such as LiftBox.
         region: Initial region.
         groups: What varies, one group at a time, each at three strengths.

@@ -344,6 +344,33 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("segment --task LiftBox --write-corrections", "copy it, and give --root"),
+        ("segment --task LiftBox --figure seg.txt", "ends in .png or .svg"),
+        ("record --task LiftBox --teleop web --port 99999 --root new", "0 to 65535"),
+        ("record --task LiftBox --scale -1 --root new", "0.1 to 10"),
+        ("results --results nowhere --output new.md", "no folder nowhere"),
+        ("generate --task LiftBox --num-attempts 1 --repo-id a:b --root new", "repo id 'a:b'"),
+        ("card --root new --repo-id box", "expected user/name"),
+        ("tune-controller --output new.npz --gait recovry_s=4", "did you mean 'recovery_s'"),
+        ("tune-controller --output new.npz --gait recovery_s=-4", "correct --gait"),
+        ("reproduce --table regions --sizes 7 --dry-run", "leave --sizes out"),
+        ("evaluate --policy new --task LiftBox --perception exact --latency-s 0.05", "a multiple of 0.1 s"),
+    ],
+)
+def test_wrong_values_are_one_line_and_write_nothing(
+    line: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *line.split())
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_existing_root_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (GENERATE, ["record", "--task", "LiftBox"]):
         code, _, err = run(capsys, *arguments, "--root", str(tmp_path))

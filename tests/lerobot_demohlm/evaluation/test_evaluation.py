@@ -122,6 +122,14 @@ def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Pat
         load_policy(tmp_path, TASK)
     with pytest.raises(PolicyError, match=r"observation\.state \(67,\)"):
         load_policy(save_policy(tmp_path / "narrow", state_size=67), TASK)
+    nested = tmp_path / "training" / "checkpoints" / "last"
+    nested.mkdir(parents=True)
+    (nested / "pretrained_model").symlink_to(checkpoint)
+    with pytest.raises(PolicyError, match=r"name .*training/checkpoints/last/pretrained_model"):
+        load_policy(tmp_path / "training", TASK)
+    for device, message in (("cuba", "cpu, cuda, mps or xpu"), ("xpu", "finds on this machine")):
+        with pytest.raises(PolicyError, match=message):
+            load_policy(checkpoint, TASK, device)
     unknown = tmp_path / "unknown"
     unknown.mkdir()
     for file in checkpoint.iterdir():
@@ -130,6 +138,18 @@ def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Pat
     (unknown / "config.json").write_text(json.dumps(content | {"type": "oracle"}))
     with pytest.raises(PolicyError, match="oracle"):
         load_policy(unknown, TASK)
+
+
+def test_a_policy_of_another_tasks_dataset_is_refused(tmp_path: Path) -> None:
+    policy, facts = save_policy(tmp_path / "policy"), tmp_path / "data" / "meta" / "demohlm.json"
+    facts.parent.mkdir(parents=True)
+    trained = {"dataset": {"root": str(tmp_path / "data")}, "env": {"task": "LiftBox-v0"}}
+    (policy / "train_config.json").write_text(json.dumps(trained))
+    load_policy(policy, "PressCube")  # its dataset is not there, or has several tasks: nobody knows
+    facts.write_text(json.dumps({"task": "LiftBox"}))
+    load_policy(policy, "LiftBox")
+    with pytest.raises(PolicyError, match="a policy trained on LiftBox; expected one for PressCube; check --task"):
+        load_policy(policy, "PressCube")
 
 
 def test_policy_hash_is_of_what_decides_actions(checkpoint: Path, tmp_path: Path) -> None:
