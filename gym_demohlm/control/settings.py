@@ -5,10 +5,12 @@ Defaults are those of the first controller, whose file says less; a new controll
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gym_demohlm.control.velocity_map import NUM_TERMS
 from gym_demohlm.errors import SceneError
@@ -69,9 +71,19 @@ class Gait:
         """Check what would divide by zero or index wrongly.
 
         Raises:
-            SceneError: A period, swing or recovery out of range, or not NUM_TURN coefficients.
+            SceneError: What is no finite number, a period, swing or recovery out of range, or another number of them.
         """
-        object.__setattr__(self, "turn", tuple(float(value) for value in self.turn))
+        for entry in fields(self):
+            value, count = getattr(self, entry.name), {"turn": NUM_TURN, "capture": 3}.get(entry.name)
+            if count is None:
+                _require_finite(entry.name, [value])
+            elif value is not None:
+                numbers = list(value) if isinstance(value, list | tuple | np.ndarray) else [value]
+                _require_finite(entry.name, numbers)
+                if len(numbers) != count:
+                    got = f"{entry.name} of the gait with {len(numbers)} numbers"
+                    raise SceneError(got, str(count), "check the file it was read from")
+                object.__setattr__(self, entry.name, tuple(map(float, numbers)))
         if not (self.period_s > 0.1 and 0.05 < self.swing < 0.5 and len(self.turn) == NUM_TURN):
             got = f"a gait of period {self.period_s} s, swing {self.swing}, {len(self.turn)} coefficients of turning"
             raise SceneError(got, f"more than 0.1 s, 0.05 to 0.5, {NUM_TURN}", "check the file it was read from")
@@ -83,6 +95,12 @@ class Gait:
     def rest_phases(self) -> tuple[float, float]:
         """Where the clock rests: just before a swing, where both feet are on the floor."""
         return 0.5 * (0.5 + self.swing), 0.5 + 0.5 * (0.5 + self.swing)
+
+
+def _require_finite(name: str, values: Sequence[Any]) -> None:
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not math.isfinite(value):
+            raise SceneError(f"{name}={value!r}", "a finite number", "check the file it was read from")
 
 
 @dataclass(frozen=True, kw_only=True)

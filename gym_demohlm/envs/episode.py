@@ -7,6 +7,7 @@ ends when the success was held, the robot fell or the physics broke down; the ti
 and collisions are judged as in generation (``simulation.judge``).
 """
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 EXACT = "exact"
 OBSERVATION_TYPES = ("state", "pixels_agent_pos")
+_OPTIONS = ("initial_state", "region", "reset_mask")  # of reset
 Observation = dict[str, np.ndarray | dict[str, np.ndarray]]
 
 
@@ -235,12 +237,13 @@ def initial_state(task: Task, region: str, rng: np.random.Generator, options: di
     """Return where an episode starts: ``options["initial_state"]``, or drawn from ``options["region"]`` or region.
 
     Raises:
-        UnknownNameError: The task has no such region, or there is no such option.
+        UnknownNameError: The task has no such region, or an option is misspelt.
         SceneError: The initial state in the options is not a dictionary, or R4 has other things than these worlds.
     """
     options = options or {}
-    for name in sorted(options.keys() - {"initial_state", "region"}):
-        raise UnknownNameError("option of reset", name, ("initial_state", "region", "reset_mask"))
+    for name in options.keys() - _OPTIONS:  # LeRobot and wrappers have options of their own
+        if difflib.get_close_matches(name, _OPTIONS, n=1, cutoff=0.6):
+            raise UnknownNameError("option of reset", name, _OPTIONS)
     given, asked = options.get("initial_state"), options.get("region", region)
     if given is None:
         if asked == WIDEST and task.wide_form is not None:

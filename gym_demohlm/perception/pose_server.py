@@ -1,8 +1,10 @@
 """Pictures of other processes -> poses: the server loop, and this project's tracker behind it as the reference."""
 
+import logging
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,10 +20,10 @@ from gym_demohlm.perception.tracker import Tracker
 from gym_demohlm.perception.wire import Answer, Request, pack_answers, unpack_request
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
-from gym_demohlm.timing import STEP_DT
 
 _SESSIONS = 256  # episodes that are remembered
 _LEAST_PATCH = 40  # px
+_log = logging.getLogger(__name__)
 _TURN_MS = 200  # how often a waiting server looks whether it is to stop
 
 
@@ -33,12 +35,20 @@ class Backend(Protocol):
         ...
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Session:
+    """An episode: a tracker of each object, and where the hands were in the last picture."""
+
+    trackers: list[Tracker]
+    hands: dict[str, np.ndarray]
+
+
 class TrackerBackend:
     """This project's tracker: one for each object of each session."""
 
     def __init__(self) -> None:
         self._meshes: dict[str, tuple[ObjectMesh, ...]] = {}
-        self._sessions: OrderedDict[str, tuple[list[Tracker], dict[str, np.ndarray]]] = OrderedDict()
+        self._sessions: OrderedDict[tuple[str, ...], _Session] = OrderedDict()
 
     def __call__(self, request: Request) -> list[Answer]:
         """Track the objects in a picture; masks that were not sent are found by colour.
@@ -52,21 +62,23 @@ class TrackerBackend:
         known = Intrinsics(
             width=width, height=height, focal=float(K[0, 0]), center_u=float(K[0, 2]), center_v=float(K[1, 2])
         )
-        trackers, hands = self._sessions.pop(request.session, ([], {}))
-        trackers = trackers or [Tracker(mesh, known) for mesh in meshes]
+        session = (request.session, request.task, *request.objects)
+        past = self._sessions.pop(session, None)
+        trackers = [Tracker(mesh, known) for mesh in meshes] if past is None else past.trackers
+        hands = {} if past is None else past.hands
         found = request.masks or [
             masks.component_near(masks.color(request.color, mesh.colors), None, _LEAST_PATCH) for mesh in meshes
         ]
         answers = []
         for tracker, mask in zip(trackers, found, strict=True):
             motions = hand_motions(tracker, hands, request.hands)
-            track = tracker.update(request.depth, mask, whole(known), request.T_odom_optical, STEP_DT, motions)
+            track = tracker.update(request.depth, mask, whole(known), request.T_odom_optical, request.dt_s, motions)
             if track is None or not track.valid:
                 answers.append(Answer(T_optical_object=np.eye(4), valid=False, reason="an object that is not seen"))
             else:
                 T = poses.invert(request.T_odom_optical) @ track.T_odom_object
                 answers.append(Answer(T_optical_object=T, valid=True))
-        self._sessions[request.session] = trackers, dict(request.hands)
+        self._sessions[session] = _Session(trackers=trackers, hands=dict(request.hands))
         while len(self._sessions) > _SESSIONS:
             self._sessions.popitem(last=False)
         return answers
@@ -134,7 +146,9 @@ def _answered(backend: Backend, parts: list[bytes]) -> bytes:
     try:
         request = unpack_request(parts)
         answers = backend(request)
-    except DemoHLMError as error:
+    except Exception as error:  # whatever a message does, the next one is answered too
+        if not isinstance(error, DemoHLMError):
+            _log.warning("a request that failed", exc_info=error)
         lost = Answer(T_optical_object=np.eye(4), valid=False, reason=str(error))
         answers = [lost] * (len(request.objects) if request is not None else 0)
     frame = -1 if request is None else request.frame

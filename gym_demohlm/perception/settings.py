@@ -106,7 +106,7 @@ class PerceptionSettings:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if entry.name != "source" and value != entry.default:
-                words.append(f"{entry.name}={value:g}" if isinstance(value, float) else f"{entry.name}={value}")
+                words.append(f"{entry.name}={_spelled(value)}")
         return ",".join(words)
 
     @property
@@ -118,3 +118,9 @@ class PerceptionSettings:
     def is_disturbed(self) -> bool:
         """Whether bias, latency or dropout are added to the source."""
         return max(self.bias_mm, self.latency_s, self.dropout) > 0.0
+
+
+def _spelled(value: object) -> str:
+    """Return a value in the fewest digits that read back as the same."""
+    short = f"{value:g}" if isinstance(value, float) else str(value)
+    return short if not isinstance(value, float) or float(short) == value else repr(value)

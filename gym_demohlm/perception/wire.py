@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from gym_demohlm.errors import SceneError
+from gym_demohlm.timing import STEP_DT
 
 VERSION = 1
 DEPTH_UNIT = 1e-4  # m
@@ -37,6 +38,7 @@ class Request:
         color: (height, width, 3) uint8.
         depth: (height, width) float32 [m], 0 where nothing was measured.
         masks: (height, width) bool, one an object; None where the server is to find them.
+        dt_s: Time since the session's last picture [s].
     """
 
     session: str
@@ -49,6 +51,7 @@ class Request:
     color: np.ndarray
     depth: np.ndarray
     masks: tuple[np.ndarray, ...] | None
+    dt_s: float = STEP_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +83,7 @@ def pack_request(request: Request) -> list[bytes]:
         "K": request.K.ravel().tolist(),
         "T_odom_optical": request.T_odom_optical.ravel().tolist(),
         "hands": {side: T.ravel().tolist() for side, T in request.hands.items()},
+        "dt_s": request.dt_s,
     }
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(request.color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95])
     steps = np.clip(np.round(request.depth / DEPTH_UNIT), 0, 65535).astype("<u2")
@@ -125,8 +129,18 @@ def unpack_request(parts: Sequence[bytes]) -> Request:
             color=cv2.cvtColor(color, cv2.COLOR_BGR2RGB),
             depth=(steps * np.float32(header["depth_unit_m"])).astype(np.float32),
             masks=masks,
+            dt_s=_time(header.get("dt_s", STEP_DT)),
         )
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, zlib.error) as error:
+    except (
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        cv2.error,
+        zlib.error,
+    ) as error:
         got = f"a request that cannot be read ({error})"
         raise SceneError(got, "one of `wire.pack_request`", "send one") from error
 
@@ -185,6 +199,13 @@ def _matrix(values: Any, size: int) -> np.ndarray:  # noqa: ANN401
     if matrix.size != size * size or not np.isfinite(matrix).all():
         raise ValueError(f"a matrix of {matrix.size} numbers")
     return matrix.reshape(size, size)
+
+
+def _time(value: Any) -> float:  # noqa: ANN401
+    time_s = float(value)
+    if not 0.0 <= time_s < np.inf:
+        raise ValueError(f"a time of {time_s} s")
+    return time_s
 
 
 def _unzipped(content: bytes, size: int) -> bytes:

@@ -4,7 +4,6 @@ What was found is kept in ``found.jsonl`` of the work directory, so that a call 
 that falls short ends it: nothing is changed then, and what fell short is said.
 """
 
-import hashlib
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict
@@ -39,7 +38,7 @@ def check(request: Request, say: Callable[[str], None] = lambda _: None) -> list
         DatasetError: Another process is at work in the directory.
         NotAdoptedError: A check fell short.
     """
-    key = _key(request)
+    key = request.key
     request.work.mkdir(parents=True, exist_ok=True)
     lock = RunLock(request.work)
     try:
@@ -95,16 +94,3 @@ def is_default(weights: Path) -> bool:
         SceneError: As ``Weights``.
     """
     return Weights(weights).hash == controllers.load().hash
-
-
-def _key(request: Request) -> str:
-    """Return what the findings hold for: both controllers and how thoroughly they were checked."""
-    content = (
-        Weights(request.weights).hash,
-        controllers.load().hash,
-        request.num_robots,
-        request.seconds,
-        request.num_attempts,
-        request.seed,
-    )
-    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]

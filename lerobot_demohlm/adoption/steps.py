@@ -1,9 +1,11 @@
 """A new controller -> what each check found: benchmark beside the default, demonstrations, lint, generation.
 
-A check changes nothing but its own folder of the work directory. It returns what it found and what fell short.
+A check changes nothing but its own folder of the work directory, which no other controller shares. It returns what it
+found and what fell short.
 """
 
 import functools
+import hashlib
 import math
 import shutil
 from collections import Counter
@@ -13,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.control import controllers
+from gym_demohlm.control.whole_body import Weights
 from gym_demohlm.errors import DemonstrationError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot.physics import Physics
@@ -26,6 +29,7 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.replay import replay
 from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.runner import generate
+from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.teleop.record import record, script_of
 
 LEAST_SUCCESS = 0.97
@@ -57,10 +61,29 @@ class Request:
     num_workers: int = 2
     seed: int = 7000
 
+    @functools.cached_property
+    def key(self) -> str:
+        """What findings hold for: both controllers, how thoroughly they were checked, and the code that did it."""
+        content = (
+            Weights(self.weights).hash,
+            controllers.load().hash,
+            self.num_robots,
+            self.seconds,
+            self.num_attempts,
+            self.seed,
+            provenance.code_hash(),
+            provenance.generator_hash(),
+        )
+        return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
+
     @property
     def demonstrations(self) -> Path:
         """Where the demonstrations with the new controller are."""
-        return self.work / "demonstrations"
+        return self.work / self.key / "demonstrations"
+
+    def data(self, slug: str) -> Path:
+        """Return where a task's attempts are made."""
+        return self.work / self.key / "data" / slug
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,14 +168,15 @@ def check_task(request: Request, name: str) -> Found:
 
 
 def attempt(request: Request, name: str) -> Found:
-    """Generate from a task's new demonstration in the widest region."""
+    """Generate from a task's new demonstration in R3; what a call that was killed has made is made again."""
     task = get_task(name)
+    shutil.rmtree(request.data(task.slug), ignore_errors=True)
     summary = generate(
         GenerationRequest(
             task=name,
             region=REGION,
             seed=request.seed,
-            root=request.work / "data" / task.slug,
+            root=request.data(task.slug),
             num_attempts=request.num_attempts,
             num_workers=request.num_workers,
             demonstration=request.demonstrations / task.slug,

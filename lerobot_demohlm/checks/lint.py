@@ -29,7 +29,6 @@ from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
 from lerobot_demohlm.datasets.variation import PLAIN
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 
-ALL = "all"
 REPLAYS_TOGETHER = 8  # side by side
 MIN_SUCCESS = 0.5  # of the replays
 MAX_DEPTH = 0.005  # m that one thing may be inside another

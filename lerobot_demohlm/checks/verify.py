@@ -302,16 +302,21 @@ class _Bench:
             )
         settings, sim = Settings(variation=DataVariation.read(facts)), self._sim(facts)
         attempts = Attempts(self._task, source, facts["region"], facts["seed"], settings=settings, sim=sim)
-        again = attempts.run([entry.attempt for entry in entries])
+        try:
+            again = attempts.run([entry.attempt for entry in entries])
+        finally:
+            attempts.close_eyes()
         return [
             compare_again(self._task, entry, made, self._request.bounded)
             for entry, made in zip(entries, again, strict=True)
         ]
 
     def close(self) -> None:
-        """Release the simulations."""
+        """Release the simulations, and what draws pictures."""
         for sim in self._sims.values():
             sim.close()
+        if self._pictures is not None:
+            self._pictures.close()
 
 
 def _run(
@@ -320,8 +325,10 @@ def _run(
     """Check batches here or in worker processes; yields in their order."""
     if num_workers == 1:
         bench = _Bench(request, task, min(NUM_WORLDS, max(map(len, batches), default=1)))
-        yield from (bench.check(batch) for batch in batches)
-        bench.close()
+        try:
+            yield from (bench.check(batch) for batch in batches)
+        finally:
+            bench.close()
         return
     pool = ProcessPoolExecutor(num_workers, multiprocessing.get_context("spawn"), end_with_parent)
     try:

@@ -55,7 +55,7 @@ class Options:
     perceptions: Annotated[tuple[str, ...] | None, default("the table's")] = None
     preset: Preset = "cpu"
     num_rollouts: int = 250
-    num_attempts: int = 250
+    num_attempts: int = 500
     steps: Annotated[int | None, default("the preset's")] = None
     device: str = "cpu"
     num_workers: int = 1

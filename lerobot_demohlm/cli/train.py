@@ -55,7 +55,7 @@ def run(options: Options) -> None:
     from lerobot_demohlm.datasets.facts import read_facts
     from lerobot_demohlm.datasets.origin import is_generated
     from lerobot_demohlm.policies.presets import train_config
-    from lerobot_demohlm.policies.training import train, write_config
+    from lerobot_demohlm.policies.training import require_episodes, train, write_config
 
     if options.num_threads < 1:
         raise PolicyError(f"num_threads={options.num_threads}", "1 or more", "correct --num-threads")
@@ -65,6 +65,7 @@ def run(options: Options) -> None:
     output = options.output or Path("outputs") / f"{root.name}_{options.policy}_{options.preset}"
     chosen = {name: getattr(options, name) for name in ("steps", "seed", "num_episodes", "device")}
     if options.write_config is not None:
+        require_episodes(root, options.num_episodes)
         config = train_config(root, output, options.policy, options.preset, **chosen)
         write_config(options.write_config, config)
         print(options.write_config)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+from gym_demohlm.errors import SceneError
 from gym_demohlm.wbc.training.train_config import TrainConfig, cpu_config, cuda_config
 from lerobot_demohlm.cli.parsing import default
 
@@ -60,7 +61,13 @@ def run(options: Options) -> None:
     from gym_demohlm.wbc.training import rewards
     from gym_demohlm.wbc.training.train import POLISHING_NOISE, train
 
-    config = cuda_config() if options.device == "cuda" else cpu_config(options.num_processes or _CPU_PROCESSES)
+    if not options.hours > 0:
+        raise SceneError(f"hours={options.hours:g}", "more than 0", "correct --hours")
+    config = (
+        cuda_config()
+        if options.device == "cuda"
+        else cpu_config(_CPU_PROCESSES if options.num_processes is None else options.num_processes)
+    )
     config = replace(
         config,
         mdp=replace(
@@ -73,7 +80,7 @@ def run(options: Options) -> None:
             physics=named(options.physics),
             reward_table=rewards.with_weights(dict(rewards.parse(text) for text in options.reward)),
         ),
-        num_processes=options.num_processes or config.num_processes,
+        num_processes=config.num_processes if options.num_processes is None else options.num_processes,
         polish=options.polish,
         largest_noise=POLISHING_NOISE if options.polish or options.warm_start else config.largest_noise,
         held_noise=options.noise,

@@ -29,7 +29,7 @@ class Episode:
     seed: int
     """Seed of the run (the attempt is a function of seed and index)."""
     region: str
-    """Initial region: R1, R2 or R3."""
+    """Initial region, R1 to R4."""
     outcome: str
     """One of ``OUTCOMES``."""
     stage: str

@@ -143,6 +143,16 @@ def segment(demonstration: Demonstration, task: Task, scattered: bool | None = N
     return segments
 
 
+def require_approach(segments: Sequence[Segment]) -> None:
+    """Raise ``DemonstrationError`` where no hand comes to an object: every attempt begins with that."""
+    if not any(entry.kind == "object" for entry in segments):
+        raise DemonstrationError(
+            "segments none of which follows an object",
+            "a hand that comes to an object",
+            "begin the recording with free hands, or mend meta/segments.json",
+        )
+
+
 def _cut_at_rest(
     demonstration: Demonstration, task: Task, track: list[Segment], others: list[tuple[int, int | None, str]]
 ) -> list[Segment]:
@@ -315,12 +325,12 @@ def _corrected(demonstration: Demonstration, task: Task) -> list[Segment]:
             )
     for entry in segments:
         known = entry.object in names or (entry.object is None and entry.kind == "proprioception")
-        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS and entry.held in (None, *names)
+        known = known and entry.hand in g1.SIDES and entry.anchor in ANCHORS and entry.held in (None, *task.goals)
         if entry.kind not in ("object", "proprioception") or not known:
             raise DemonstrationError(
                 f"a corrected segment {entry}",
                 f"a hand of {g1.SIDES}, kind object or proprioception, an object of {sorted(names)}, "
-                f"an anchor of {ANCHORS}",
+                f"an anchor of {ANCHORS}, held of {sorted(task.goals) or 'none'}",
                 "mend meta/segments.json, or remove it",
             )
     return segments

@@ -4,6 +4,7 @@ LeRobot takes the place of the policy alone: filter, watchdogs and controller ar
 that falls silent is a policy that does, and the robot holds.
 """
 
+import logging
 import time
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ from lerobot_demohlm.hardware.records import Mode
 BALANCE_S = 3.0  # that it stands before it runs
 PATIENCE_S = 30.0
 _PAUSE_S = 0.02
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +61,7 @@ class DdsRobot:
 
     def __init__(self, config: DemoHLMG1Config, task: Task) -> None:
         self._objects, self._step, self._by_remote = len(task.objects), 0, config.interface != "lo"
+        self._told_of_hold = False
         self._deployment = Deployment(
             DeploymentSettings(
                 task=task.name,
@@ -97,7 +100,7 @@ class DdsRobot:
         )
 
     def send(self, wanted: np.ndarray) -> None:
-        """Hand an action (23,) to the controller.
+        """Hand an action (23,) to the controller; a warning says once an episode that a robot that holds ignores it.
 
         Raises:
             DeviceError: The robot brakes its motors, or its controller has ended.
@@ -110,12 +113,15 @@ class DdsRobot:
         if control is None or int(control.value["mode"]) == Mode.DAMP:
             raise DeviceError(f"a robot that brakes its motors ({deployment.reason})", "one that runs", "connect again")
         run_ns = int(control.value["since_ns"]) if int(control.value["mode"]) == Mode.RUN else -1
+        if run_ns < 0 and not self._told_of_hold:
+            _log.warning("the robot holds (%s): it makes no action until the next episode", deployment.reason)
+            self._told_of_hold = True
         deployment.write_command(wanted, run_ns, self._step)
         self._step += 1
 
     def reset(self) -> None:
         """Begin an episode: at its first action a robot that holds runs again."""
-        self._step = 0
+        self._step, self._told_of_hold = 0, False
         self.mirror.reset()
 
     def close(self) -> None:

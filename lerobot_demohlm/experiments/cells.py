@@ -48,7 +48,7 @@ class Effort:
     """
 
     num_rollouts: int = 250
-    num_attempts: int = 250
+    num_attempts: int = 500
     data_workers: int = 1
     device: str = "cpu"
     deadline: float = math.inf

@@ -154,9 +154,13 @@ class Attempts:
 
     def close(self) -> None:
         """Release the simulation and the eyes."""
+        self.close_eyes()
+        self._sim.close()
+
+    def close_eyes(self) -> None:
+        """Release the eyes alone: the simulation is somebody else's, and its necks see exactly again."""
         if self._sight is not None:
             self._sight.close()
-        self._sim.close()
 
     def run(self, indices: Sequence[int]) -> list[Episode]:
         """Make attempts and return their episodes in order."""

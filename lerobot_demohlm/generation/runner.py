@@ -29,7 +29,7 @@ from lerobot_demohlm.datasets.hub import require_repo_id
 from lerobot_demohlm.datasets.wordings import wordings
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
-from lerobot_demohlm.demonstrations.segmentation import segment
+from lerobot_demohlm.demonstrations.segmentation import require_approach, segment
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.request import GenerationRequest, GenerationSummary
@@ -68,7 +68,7 @@ def generate(request: GenerationRequest) -> GenerationSummary:
             "correct --num-workers or --seed",
         )
     demonstration = demonstrations.load(request.demonstration, task)
-    segment(demonstration, task)  # fails now rather than in a worker
+    require_approach(segment(demonstration, task))  # fails now rather than in a worker
     weights = controllers.load(request.controller)
     pictures = PictureFacts.of(request.cameras or (), request.light, request.texture, request.camera_shift)
     if pictures.cameras:

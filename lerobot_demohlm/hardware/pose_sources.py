@@ -13,12 +13,14 @@ from typing import Protocol
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, Intrinsics
+from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, T_OPTICAL_CAMERA, Intrinsics
+from gym_demohlm.perception.equivalents import steady_equivalent
 from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.hardware import world_topic
 from lerobot_demohlm.hardware.camera import HeadCamera
 from lerobot_demohlm.hardware.link import WORLD, Link
@@ -100,15 +102,22 @@ class WorldSource:
 class _Seen:
     """What was seen of each object, and when; what is not seen now keeps its pose in the frame "odometry".
 
-    The perceivers that policies are trained with do the same (``gym_demohlm.perception``).
+    Of poses that look the same it tells the one that heads as the camera does. The perceivers that policies are trained
+    with do both (``gym_demohlm.perception``).
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, task: Task) -> None:
+        self._objects, count = task.objects, len(task.objects)
         self._T, self._at = np.tile(np.eye(4), (count, 1, 1)), np.full(count, -1, np.int64)
+        self._told: list[np.ndarray | None] = [None] * count
 
     def add(self, index: int, T_odometry_object: np.ndarray, time_ns: int) -> None:
         """Note where an object was seen."""
         self._T[index], self._at[index] = T_odometry_object, time_ns
+
+    def expected(self, index: int, T_odometry_camera: np.ndarray) -> np.ndarray | None:
+        """Return where an object should be in the camera's frame (4, 4); None before it was seen."""
+        return None if self._at[index] < 0 else poses.invert(T_odometry_camera) @ self._T[index]
 
     def look(self, T_odometry_camera: np.ndarray, now_ns: int) -> Look | None:
         """Return what is known, from where the camera was at that time; None before each object was seen once."""
@@ -116,7 +125,9 @@ class _Seen:
             return None
         age_s = 1e-9 * (now_ns - self._at)[None]
         valid = self._at[None] == now_ns
-        T_camera_object = (poses.invert(T_odometry_camera) @ self._T)[None]
+        for index, entry in enumerate(self._objects):
+            self._told[index] = steady_equivalent(self._T[index], entry, T_odometry_camera, self._told[index])
+        T_camera_object = (poses.invert(T_odometry_camera) @ np.stack(self._told))[None]  # pyright: ignore
         estimate = PoseEstimate(T_camera_object=T_camera_object, valid=valid, age_s=age_s, inliers=valid.astype(float))
         return Look.of(estimate, T_odometry_camera, now_ns)
 
@@ -138,9 +149,8 @@ class TagSource:
         from gym_demohlm.perception.tags import TagFinder
 
         self._tags = read_tags(tags, [entry.name for entry in task.objects])
-        self._camera, self._finder, self._seen = camera, TagFinder(), _Seen(len(self._tags))
+        self._camera, self._finder, self._seen = camera, TagFinder(), _Seen(task)
         self._known: Intrinsics | None = None
-        self._expected: list[np.ndarray | None] = [None] * len(self._tags)
 
     def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
         """Return the newest look; None before each object was seen once, and where no picture comes."""
@@ -156,9 +166,10 @@ class TagSource:
         self._known = self._known or self._camera.intrinsics(image.shape)
         corners = self._finder.corners(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), whole(self._known))
         for index, worn in enumerate(self._tags):
-            found = object_pose(worn, corners, self._known, self._expected[index])
+            there = self._seen.expected(index, T_odometry_camera)
+            expected = None if there is None else T_OPTICAL_CAMERA @ there
+            found = object_pose(worn, corners, self._known, expected)
             if found is not None:
-                self._expected[index] = found[0]
                 self._seen.add(index, T_odometry_camera @ T_CAMERA_OPTICAL @ found[0], now)
         return self._seen.look(T_odometry_camera, now)
 
@@ -184,9 +195,10 @@ class ServerSource:
 
         from gym_demohlm.perception.pose_client import PoseClient
 
-        self._task, self._camera, self._seen = task, camera, _Seen(len(task.objects))
+        self._task, self._camera, self._seen = task, camera, _Seen(task)
         self._client = PoseClient(zmq.Context(), settings.address, settings.timeout_s)
         self._session, self._frame = uuid.uuid4().hex, 0
+        self._asked_ns: int | None = None
         self._taken: dict[int, tuple[int, np.ndarray]] = {}  # when and from where each picture that is not answered was
 
     def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
@@ -196,7 +208,8 @@ class ServerSource:
         image = self._camera.color()
         if image is None:
             return None
-        self._taken[self._frame] = time.monotonic_ns(), T_odometry_camera
+        now_ns, before_ns = time.monotonic_ns(), self._asked_ns
+        self._taken[self._frame], self._asked_ns = (now_ns, T_odometry_camera), now_ns
         told = self._client.look(
             Request(
                 session=self._session,
@@ -209,6 +222,7 @@ class ServerSource:
                 color=image,
                 depth=self._camera.depth(image.shape),
                 masks=None,
+                dt_s=STEP_DT if before_ns is None else 1e-9 * (now_ns - before_ns),
             )
         )
         self._frame += 1

@@ -1,4 +1,4 @@
-"""A state-only dataset and a preset -> a trained policy, by LeRobot's own training with its data held in memory.
+"""A dataset and a preset -> a trained policy, by LeRobot's own training with its data held in memory.
 
 The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --config_path=FILE`` with the file that
 ``--write-config`` writes, or with the ``train_config.json`` of the checkpoint, is the same training.
@@ -43,9 +43,9 @@ def train(
 
     Args:
         root: Output directory of the training; must not exist.
-        dataset_root: Dataset without images.
+        dataset_root: The dataset.
         policy: "mlp", "act" or "diffusion".
-        preset: "paper" or "cpu".
+        preset: "paper" or "cpu", or one that sees.
         steps: Training steps; the preset's by default.
         seed: Of the weights and of the order of the samples.
         num_episodes: Train on so many episodes from the first on; on all by default.
@@ -74,12 +74,18 @@ def train(
         batch_size=batch_size,
         options=options,
     )
-    if num_episodes is not None:
-        available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]
-        if num_episodes > available:
-            raise DatasetError(f"num_episodes={num_episodes}", f"at most the {available} of {dataset_root}", "lower it")
+    require_episodes(dataset_root, num_episodes)
     run(config, num_threads)
     return checkpoint(root)
+
+
+def require_episodes(dataset_root: Path, num_episodes: int | None) -> None:
+    """Raise ``DatasetError`` where a dataset has fewer episodes than are to be trained on."""
+    if num_episodes is None:
+        return
+    available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]
+    if num_episodes > available:
+        raise DatasetError(f"num_episodes={num_episodes}", f"at most the {available} of {dataset_root}", "lower it")
 
 
 def run(config: "TrainPipelineConfig", num_threads: int = 1) -> None:

@@ -31,6 +31,10 @@ from gym_demohlm.wbc.training.vec_env import MdpVecEnv
 _SMALLEST_LOG_NOISE = -2.5
 POLISHING_NOISE = 0.12
 _QUIET_JOINTS = np.array([0.5 if "hip_yaw" in joint else 1.0 for joint in features.DRIVEN_JOINTS])  # share of the noise
+_FREE = (  # what may differ where a run is resumed
+    *("mdp", "num_worlds", "num_threads", "warp_device", "num_processes", "device"),
+    *("max_steps", "save_every", "evaluate_every", "keep_every"),
+)
 _CRITIC_RATE = 1e-3  # learning rate of a critic that begins after the actor
 
 
@@ -52,16 +56,50 @@ def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = Fal
         output: Folder of the run.
         config: Of the run.
         hours: Wall-clock time.
-        resume: Go on from ``checkpoint.pt``.
+        resume: Go on from ``checkpoint.pt``. Processes, device, the end and how often it is saved may be others.
 
     Raises:
-        SceneError: ``resume`` without a checkpoint, or a run that exists already without ``resume``.
+        SceneError: ``resume`` without a checkpoint or with another configuration, or a run that exists already without
+            ``resume``.
     """
     checkpoint = output / "checkpoint.pt"
     if resume != checkpoint.exists():
         got = "no checkpoint" if resume else "a run that exists already"
         raise SceneError(f"{got} in {output}", "a fresh folder, or a run to resume", "change --output or --resume")
     output.mkdir(parents=True, exist_ok=True)
+    _require_same(output / "config.json", config)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        _start(output, config, hours)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _require_same(path: Path, config: TrainConfig) -> None:
+    """Write what decides a training, or compare it with what was written; runs of earlier versions have no such file.
+
+    Raises:
+        SceneError: It is another.
+    """
+    rewards = {name: (term.weight, term.scale) for name, term in config.mdp.reward_table.items()}
+    content = {**vars(config.mdp), **vars(config), "reward_table": rewards}
+    now = {name: str(value) for name, value in content.items() if name not in _FREE}
+    if not path.exists():
+        path.write_text(json.dumps(now, indent=2) + "\n")
+        return
+    then = json.loads(path.read_text())
+    for name in sorted(then.keys() | now.keys()):
+        if then.get(name) != now.get(name):
+            raise SceneError(
+                f"a run in {path.parent} that began with {name}={then.get(name)}",
+                f"{now.get(name)}, as asked for now",
+                "resume it with the same options, or choose another --output",
+            )
+
+
+def _start(output: Path, config: TrainConfig, hours: float) -> None:
+    """Train in this process or in several."""
     if config.num_processes == 1:
         try:
             _work(0, output, config, hours, "")
@@ -84,19 +122,21 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
     """Be one of the processes; rank 0 writes."""
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    torch.manual_seed(config.seed + 1000 * rank)
+    path, saved = output / "checkpoint.pt", None
+    if path.exists():
+        saved = torch.load(path, weights_only=True, map_location=config.device)
+    progress = Progress() if saved is None else Progress(**saved["progress"])
+    seed = _seed(config.seed, rank, progress.iteration)
+    torch.manual_seed(seed)
     if meeting:
         dist.init_process_group("gloo", init_method=meeting, rank=rank, world_size=config.num_processes)
-    env = MdpVecEnv(replace(config.mdp, seed=config.seed + 1000 * rank), config.device)
+    env = MdpVecEnv(replace(config.mdp, seed=seed), config.device)
     log_dir = str(output / "tensorboard") if rank == 0 else None
     runner = OnPolicyRunner(env, ppo_config(config), log_dir=log_dir, device=config.device)
     runner.alg.is_multi_gpu = bool(meeting)  # rsl_rl's name for averaging gradients among processes
     runner.alg.gpu_global_rank, runner.alg.gpu_world_size = rank, config.num_processes
-    progress = Progress()
-    if (output / "checkpoint.pt").exists():
-        saved = torch.load(output / "checkpoint.pt", weights_only=True, map_location=config.device)
+    if saved is not None:
         runner.alg.load(saved, None, True)
-        progress = Progress(**saved["progress"])
     else:
         if config.warm_start is not None:
             import_weights(runner.alg.get_policy(), config.warm_start)
@@ -113,7 +153,7 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         signal.signal(number, lambda received, _: stopping.append(received))
     start = time.monotonic() - progress.seconds
     end = time.monotonic() + 3600 * hours
-    most_steps = config.max_steps or np.inf
+    most_steps = np.inf if config.max_steps is None else config.max_steps
     while not _any(bool(stopping) or time.monotonic() > end) and progress.steps < most_steps:
         _warm_up(runner, config, progress.iteration)
         statistics = _iterate(runner, env, config)
@@ -135,6 +175,13 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
         _save(runner, env, output, progress, config)
     if meeting:
         dist.destroy_process_group()
+
+
+def _seed(seed: int, rank: int, iteration: int) -> int:
+    """Return the seed of a process, which a resumed run does not share with its beginning."""
+    if iteration == 0:
+        return seed + 1000 * rank
+    return int(np.random.SeedSequence([seed, rank, iteration]).generate_state(1)[0])
 
 
 def _warm_up(runner: OnPolicyRunner, config: TrainConfig, iteration: int) -> None:

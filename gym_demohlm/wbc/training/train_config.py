@@ -64,21 +64,31 @@ class TrainConfig:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        """Check the device and the noise.
+        """Check the device, the noise and the counts.
 
         Raises:
-            SceneError: Several processes with a GPU, or a held noise that is not positive.
+            SceneError: Several processes with a GPU, a held noise that is not positive, or a count out of range.
         """
+        if self.num_processes < 1 or self.mdp.num_worlds < 1 or self.warm_up < 0 or self._ends_at_once:
+            got = (
+                f"{self.num_processes} processes of {self.mdp.num_worlds} worlds, warm_up={self.warm_up}, "
+                f"max_steps={self.max_steps}"
+            )
+            raise SceneError(got, "1 or more of each, and a warm-up of 0 or more", "correct the options")
         if self.held_noise is not None and not self.held_noise > 0:
             raise SceneError(f"a noise of {self.held_noise}", "a positive standard deviation", "pass --noise 0.2")
         if self.device != "cpu" and self.num_processes != 1:
             got = f"{self.num_processes} processes with device {self.device!r}"
             raise SceneError(got, "one process, whose worlds are stepped together", "leave out --num-processes")
 
+    @property
+    def _ends_at_once(self) -> bool:
+        return self.max_steps is not None and self.max_steps < 1
+
 
 def cpu_config(num_processes: int) -> TrainConfig:
     """Return the configuration for CPU cores: 512 worlds on mujoco.rollout, shared among processes."""
-    return TrainConfig(mdp=MdpConfig(num_worlds=512 // num_processes), num_processes=num_processes)
+    return TrainConfig(mdp=MdpConfig(num_worlds=512 // max(num_processes, 1)), num_processes=num_processes)
 
 
 def cuda_config() -> TrainConfig:

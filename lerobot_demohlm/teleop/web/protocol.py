@@ -7,6 +7,7 @@ wxyz. They leave in the robot's axes, x forward, y left, z up. ``docs/teleoperat
 import json
 import math
 import struct
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -161,9 +162,10 @@ def _flag(name: str, content: Any) -> bool:  # noqa: ANN401
 
 
 def _number(name: str, content: Any, limit: float = math.inf) -> float:  # noqa: ANN401
-    if type(content) not in (int, float) or not math.isfinite(content):
-        raise _refused(f"{name} that is no finite number")
-    return float(np.clip(content, -limit, limit))
+    with suppress(OverflowError):  # of an integer beyond all floats
+        if type(content) in (int, float) and math.isfinite(content):
+            return float(np.clip(content, -limit, limit))
+    raise _refused(f"{name} that is no finite number")
 
 
 def _numbers(name: str, content: Any, count: int, limit: float) -> np.ndarray:  # noqa: ANN401

@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+import math
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,7 +98,7 @@ def _narrower(arrays: Arrays, _: dict) -> None:
         (lambda arrays, _: arrays.pop("bias_1"), "cannot be read"),
         (lambda _, metadata: metadata.update(format=9), "format 9"),
         (lambda _, metadata: metadata.update(gait={"hop": 1.0}), "hop"),
-        (lambda _, metadata: metadata.update(gait={"period_s": "long"}), "cannot be read"),
+        (lambda _, metadata: metadata.update(gait={"period_s": "long"}), "a finite number"),
         (lambda _, metadata: metadata.update(gait={"swing": 0.7}), "swing 0.7"),
         (lambda _, metadata: metadata.update(slew=[1.0]), "slew"),
         (lambda _, metadata: metadata.update(stiffness={"left_knee": float("nan")}), "finite"),
@@ -226,8 +228,21 @@ def test_a_tuned_controller_has_another_gait_and_the_same_network(tmp_path: Path
     assert again.read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("gait", [{"recovery": 4.0}, {"period_s": 0.05}, {"recovery_s": -1.0}])
-def test_a_gait_that_is_none_is_refused_and_nothing_is_written(gait: dict[str, float], tmp_path: Path) -> None:
-    with pytest.raises(SceneError):
+@pytest.mark.parametrize(
+    "gait",
+    [
+        *(
+            {"recovery": 4.0},
+            {"period_s": 0.05},
+            {"recovery_s": -1.0},
+            {"lift": None},
+            {"lift": "abc"},
+            {"sway": math.nan},
+        ),
+        *({"capture": [0.1]}, {"capture": 0.1}, {"placement_s": [1, 2]}, {"turn": ["a"] * 12}, {"sway": True}),
+    ],
+)
+def test_a_gait_that_is_none_is_refused_and_nothing_is_written(gait: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises((SceneError, UnknownNameError)):
         controllers.tune(DEFAULT_WEIGHTS, tmp_path / "tuned.npz", gait)
     assert not list(tmp_path.iterdir())

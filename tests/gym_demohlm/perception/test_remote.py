@@ -1,5 +1,6 @@
 """A pose server: the reference one, and ones that are late, silent, wrong or killed."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.perception import wire
 from gym_demohlm.perception.pose_client import LATE, NO_ANSWER
 from gym_demohlm.perception.pose_server import TrackerBackend, make_backend
+from gym_demohlm.perception.pose_server import _answered as answered
 from tests.helpers.pose_servers import Reply, replying, serving, told
 
 STEPS = 4
@@ -117,23 +119,50 @@ def test_a_request_survives_the_wire() -> None:
         hands={"left": np.eye(4)}, color=np.full((48, 64, 3), 120, np.uint8),
         depth=rng.uniform(0.2, 6.0, (48, 64)).astype(np.float32), masks=(rng.random((48, 64)) > 0.5,),
     )  # fmt: skip
-    back = wire.unpack_request(wire.pack_request(request))
+    back = wire.unpack_request(wire.pack_request(replace(request, dt_s=0.04)))
+    assert back.dt_s == 0.04
     np.testing.assert_allclose(back.depth, request.depth, atol=0.5 * wire.DEPTH_UNIT + 1e-6)
     assert back.masks is not None and (back.masks[0] == request.masks[0]).all()  # pyright: ignore[reportOptionalSubscript]
     assert back.objects == ("cube",) and back.frame == 3 and np.abs(back.color.astype(int) - 120).max() <= 2
     assert wire.unpack_request(wire.pack_request(replace(request, masks=None))).masks is None
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_a_damaged_request_is_an_error(part: int) -> None:
-    request = wire.Request(
+def _request() -> wire.Request:
+    return wire.Request(
         session="a", frame=0, task="GraspCube", objects=("cube",), K=np.eye(3), T_odom_optical=np.eye(4), hands={},
         color=np.zeros((48, 64, 3), np.uint8), depth=np.ones((48, 64), np.float32), masks=(np.zeros((48, 64), bool),),
     )  # fmt: skip
-    parts = wire.pack_request(request)
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_a_damaged_request_is_an_error(part: int) -> None:
+    parts = wire.pack_request(_request())
     parts[part] = parts[part][: len(parts[part]) // 2] if part != 1 else b"no jpeg"
     with pytest.raises(SceneError):
         wire.unpack_request(parts)
+
+
+def test_whatever_a_message_does_the_next_one_is_answered() -> None:
+    class Odd:
+        def __call__(self, request: wire.Request) -> list[wire.Answer]:
+            raise ZeroDivisionError("no such thing")
+
+    asked = _request()
+    empty = wire.pack_request(asked)
+    empty[1] = b""
+    nested = [b"[" * 100_000, *wire.pack_request(asked)[1:]]
+    for parts in ([], [b""], empty, nested, wire.pack_request(asked)):
+        frame, answers = json.loads(answered(Odd(), parts))["frame"], json.loads(answered(Odd(), parts))["objects"]
+        assert all(not answer["valid"] and answer["reason"] for answer in answers)
+    assert (frame, answers[0]["reason"]) == (asked.frame, "no such thing")
+
+
+def test_a_session_of_other_objects_is_another_one() -> None:
+    backend, asked = TrackerBackend(), _request()
+    assert len(backend(asked)) == 1
+    masks = (np.zeros((48, 64), bool),) * 2
+    stacked = replace(asked, task="StackCube", objects=("red", "blue"), masks=masks)
+    assert len(backend(stacked)) == 2
 
 
 def test_an_unknown_backend_is_an_error() -> None:

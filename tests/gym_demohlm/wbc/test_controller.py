@@ -9,6 +9,7 @@ import pytest
 
 from gym_demohlm.control import command
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights, WholeBodyController
+from gym_demohlm.errors import SceneError
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.wbc.evaluation import benchmark, calibration
 
@@ -70,12 +71,28 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     assert WholeBodyController(1, tmp_path / "run" / "weights.npz").weights.metadata["iteration"] == len(lines)
     with pytest.raises(train.SceneError, match="exists already"):
         train.train(tmp_path / "run", config, hours=1 / 3600)
+    with pytest.raises(train.SceneError, match="began with symmetric=True; expected False"):
+        train.train(tmp_path / "run", replace(config, symmetric=False), hours=1 / 3600, resume=True)
     train.train(tmp_path / "run", config, hours=1 / 3600, resume=True)
     more = (tmp_path / "run" / "log.jsonl").read_text()
     assert json.loads(more.splitlines()[-1])["iteration"] > len(lines)
     if num_processes == 1:  # it has made more steps than these
         train.train(tmp_path / "run", replace(config, max_steps=1), hours=1.0, resume=True)
         assert (tmp_path / "run" / "log.jsonl").read_text() == more
+
+
+def test_a_resumed_training_draws_other_numbers() -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    seeds = [train._seed(1, rank, iteration) for rank in range(3) for iteration in (0, 1, 50, 51)]
+    assert len(set(seeds)) == len(seeds)
+
+
+@pytest.mark.parametrize("changes", [{"num_processes": 0}, {"warm_up": -5}, {"max_steps": 0}, {"held_noise": 0.0}])
+def test_impossible_trainings_are_refused(changes: dict) -> None:
+    from gym_demohlm.wbc.training.train_config import TrainConfig
+
+    with pytest.raises(SceneError):
+        TrainConfig(**changes)
 
 
 def test_a_first_evaluation_finds_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -121,15 +121,16 @@ def test_a_switch_that_was_killed_is_completed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed_at: str | None
 ) -> None:
     packaged, weights, work = tmp_path / "packaged", tmp_path / "weights", tmp_path / "work"
-    for name in ("lift_box", "push_cube"):
-        for root, text in ((packaged, "old"), (work / "demonstrations", "new")):
-            (root / name / "meta").mkdir(parents=True)
-            (root / name / "meta" / "demonstration.json").write_text(text)
     shutil.copytree(WEIGHTS_FOLDER, weights)
     new = _limp(tmp_path / "new.npz")
+    request = Request(weights=new, work=work)
+    for name in ("lift_box", "push_cube"):
+        for root, text in ((packaged, "old"), (request.demonstrations, "new")):
+            (root / name / "meta").mkdir(parents=True)
+            (root / name / "meta" / "demonstration.json").write_text(text)
     monkeypatch.setattr(demonstrations, "_PACKAGED", packaged)
     monkeypatch.setattr(adopt, "packaged_tasks", lambda: ["LiftBox", "PushCube"])
-    request, calls = Request(weights=new, work=work), []
+    calls: list[str] = []
 
     def kill(name: str, original):  # noqa: ANN001, ANN202
         def killed(*args, **kwargs):  # noqa: ANN002, ANN003, ANN202

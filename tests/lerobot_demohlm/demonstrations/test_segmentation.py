@@ -160,6 +160,24 @@ def test_corrections_that_do_not_fit_are_errors(demonstration: Demonstration, ch
         segmentation.segment(wrong, TASK)
 
 
+def test_a_recording_in_which_no_hand_comes_to_anything_is_an_error(demonstration: Demonstration) -> None:
+    """Nothing could be generated from it: attempts begin with an approach."""
+    edited = corrections(len(demonstration))
+    for entry in edited["segments"]:
+        entry["kind"] = "proprioception"
+    touching = with_forces(demonstration, left=(0, 30), right=(0, 30))
+    for wrong in (dataclasses.replace(demonstration, corrections=edited), touching):
+        with pytest.raises(DemonstrationError, match=r"none of which follows an object.*segments\.json"):
+            segmentation.require_approach(segmentation.segment(wrong, TASK))
+    segmentation.require_approach(segmentation.segment(demonstration, TASK))
+
+
+def test_only_what_has_a_goal_is_held_in_corrections(demonstration: Demonstration) -> None:
+    wrong = dataclasses.replace(demonstration, corrections=corrections(len(demonstration), held="box"))
+    with pytest.raises(DemonstrationError, match="held of none"):
+        segmentation.segment(wrong, TASK)
+
+
 def test_a_short_gap_is_no_second_approach(demonstration: Demonstration) -> None:
     touches = forces(len(demonstration), left=(20, 30))
     touches[34:50, 0] = 10.0

@@ -15,6 +15,7 @@ from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, Intrinsics, head_intrinsics
+from gym_demohlm.perception.equivalents import nearest_equivalent
 from gym_demohlm.perception.estimate import PoseEstimate
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.perception.tag_file import read_tags
@@ -26,7 +27,7 @@ from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import WORLD, Link
 from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.pose_process import PoseSettings, _record
-from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource
+from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource, _Seen
 from tests.helpers.pose_servers import replying, told
 from tests.helpers.robot import free_domain
 
@@ -127,6 +128,18 @@ def test_a_silent_server_gives_no_look() -> None:
         assert ServerSource(TASK, settings, pictures)(np.eye(4)) is None
 
 
+@pytest.mark.parametrize("yaw", [0.2, 1.4, 2.9, -2.0])
+def test_of_poses_that_look_the_same_a_camera_tells_the_one_that_policies_know(yaw: float) -> None:
+    task = get_task("GraspCube")
+    seen, camera = _Seen(task), poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, 0.3]), [0.1, 0.0, 1.2])
+    T = poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, yaw]), [0.6, 0.1, 0.8])
+    seen.add(0, T, 5)
+    look = seen.look(camera, 5)
+    assert look is not None
+    told = camera @ look.estimate.T_camera_object[0, 0]
+    np.testing.assert_allclose(told, nearest_equivalent(T[None], task.objects[0], camera[None])[0], atol=1e-12)
+
+
 def test_a_look_is_as_old_as_the_object_that_was_seen_last() -> None:
     T = np.tile(np.eye(4), (1, 2, 1, 1))
     valid, inliers = np.array([[False, False]]), np.ones((1, 2))
@@ -194,6 +207,7 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     assert look is not None and look.estimate.valid.all()
     found = look.estimate.T_camera_object[0, 0]
     expected = T_CAMERA_OPTICAL @ T_optical_tag @ poses.invert(poses.pose(numbers[:3], numbers[3:]))
+    expected = nearest_equivalent(expected[None], TASK.objects[0], np.eye(4)[None])[0]
     assert np.linalg.norm(found[:3, 3] - expected[:3, 3]) < 0.01
     assert np.linalg.norm(poses.rotation_vector(found[:3, :3].T @ expected[:3, :3])) < 0.06
     assert later is not None and not later.estimate.valid.any()

@@ -236,7 +236,10 @@ export class Controls {
 
   readXR(frame, space, session) {
     const viewer = frame.getViewerPose(space);
-    if (!viewer) return;
+    if (!viewer) {  // tracking is lost: whatever was held or pushed then is not any more
+      this.xr = { head: null, hands: { left: idle(), right: idle() }, walk: [0, 0, 0], lift: 0 };
+      return;
+    }
     const hands = { left: idle(), right: idle() }, walk = [0, 0, 0];
     let lift = 0;
     this.device = "headset";

@@ -139,6 +139,17 @@ def test_touch_sticks_walk(served: Served, browser: Any) -> None:
         wait_for(lambda: served.session.sim.command[0, 0] == 0.0)
 
 
+def test_a_headset_that_is_lost_lets_everything_go(served: Served, browser: Any) -> None:
+    with opened(browser, served.invite(), small=True) as page:
+        told = page.evaluate(
+            "() => { const c = demohlm.controls; const held = { pose: [0, 1, 0, 1, 0, 0, 0], engaged: true, grip: 1 };"
+            "c.xr = { head: held.pose, hands: { left: held, right: held }, walk: [1, 0, 0], lift: 1 };"
+            "c.readXR({ getViewerPose: () => null }, null, null); const xr = c.xr; c.xr = null; return xr; }"
+        )
+        assert told["walk"] == [0, 0, 0] and told["lift"] == 0 and told["head"] is None
+        assert not any(told["hands"][side]["engaged"] for side in ("left", "right"))
+
+
 def test_two_browsers_and_nothing_overlaps(served: Served, browser: Any) -> None:
     with opened(browser, served.invite()) as page, opened(browser, served.addresses["spectator"]) as other:
         assert not other.is_visible("#record")

@@ -63,6 +63,7 @@ def test_poses_come_back(angles: tuple[float, ...], position: tuple[float, ...])
         message(device="gun"),
         "[" * 16_000,
         '{"type": "input", "head": ' + "9" * 15_000 + "}",
+        '{"type": "ping", "t": ' + "9" * 400 + "}",
     ],
 )
 def test_what_is_not_documented_is_refused(text: str) -> None:
