@@ -18,9 +18,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pyarrow.dataset as pads
 import torch
 from lerobot.datasets import LeRobotDataset, factory
-from lerobot.datasets.compute_stats import get_feature_stats
+from lerobot.datasets.compute_stats import aggregate_stats, get_feature_stats
 from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
@@ -114,7 +115,26 @@ class InMemoryDataset(LeRobotDataset):
                 values = columns[name]
                 if values.dtype.kind == "f":
                     stats[name] = get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+            stats |= self._picture_stats(self.episodes)
         return stats
+
+    def _picture_stats(self, episodes: Sequence[int]) -> dict[str, dict[str, np.ndarray]]:
+        """Return the statistics of the pictures of episodes, by camera: those of each are in ``meta/episodes``."""
+        prefixes = {key: f"stats/{key}/" for key in self.meta.video_keys}
+        if not prefixes:
+            return {}
+        source = pads.dataset(self.root / "meta" / "episodes", format="parquet")
+        names = [name for name in source.schema.names if name.startswith(tuple(prefixes.values()))]
+        chosen = source.to_table(columns=names, filter=pads.field("episode_index").isin(list(episodes))).to_pylist()
+        return aggregate_stats(
+            [
+                {
+                    key: {name.removeprefix(prefix): np.array(row[name]) for name in names if name.startswith(prefix)}
+                    for key, prefix in prefixes.items()
+                }
+                for row in chosen
+            ]
+        )
 
     def __getitems__(self, indices: Sequence[int]) -> Sequence[Any]:
         """Return the samples at these indices; what torch's loader asks for where it exists."""

@@ -1,6 +1,7 @@
 """Palm targets all over the workspace -> how near the palms come, standing and walking: ``demohlm benchmark reach``.
 
-The deployment pipeline: inverse kinematics at 10 Hz, whole-body controller at 50 Hz, physics at 500 Hz, where palms
+Inverse kinematics at 10 Hz, which for a walking robot foresees its pelvis's motion (``control.foresight``, which
+generation and deployment do not use), whole-body controller at 50 Hz, physics at 500 Hz, where palms
 and pelvis are measured. Targets are palm poses of random admissible commands, so each can be reached, and they are
 thinned to be uniform in space. A standing robot's targets are fixed in the world; a walking one's in the frame that
 follows its pelvis's mean way and heading.

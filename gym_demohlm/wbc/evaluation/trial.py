@@ -51,6 +51,11 @@ class DelayedController(WholeBodyController):
         super().__init__(num_worlds, weights)
         self._waiting = np.tile(g1.HOME, (delay_ticks, num_worlds, 1))
 
+    def reset(self, worlds: np.ndarray, sensed: Proprioception) -> None:
+        """Begin anew in some worlds; arguments as in the base class."""
+        super().reset(worlds, sensed)
+        self._waiting[:, worlds] = g1.HOME
+
     def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
         """Advance by a tick and return the targets computed ``delay_ticks`` ago; arguments as in the base class."""
         chosen = slice(None) if worlds is None else worlds

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from lerobot.datasets import EpisodeAwareSampler, LeRobotDataset
@@ -65,6 +66,16 @@ def test_batches_with_pictures_equal_lerobots(options: dict[str, Any], drawn: Pa
 
 def test_transforms_see_each_picture_but_no_depth(drawn: Path) -> None:
     assert_batches_equal(drawn, image_transforms=lambda image: 1.0 - image)
+
+
+def test_statistics_of_pictures_are_those_of_the_chosen_episodes(drawn: Path) -> None:
+    whole, one = (InMemoryDataset("local/name", root=drawn, episodes=chosen) for chosen in (None, [1]))
+    for key in one.meta.video_keys:
+        assert one.meta.stats[key]["count"] < whole.meta.stats[key]["count"]
+        assert one.meta.stats[key]["mean"].shape == whole.meta.stats[key]["mean"].shape
+    frames = torch.stack([one[index][RGB] for index in range(len(one))])
+    mean = one.meta.stats[RGB]["mean"].ravel()
+    np.testing.assert_allclose(mean, frames.mean(dim=(0, 2, 3)), atol=0.02)
 
 
 def test_pictures_that_do_not_fit_stay_in_their_videos(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -112,7 +112,7 @@ def test_the_readme_has_one_row_a_task(tmp_path: Path) -> None:
     assert "| PressCube | - | - | - | - | - | 92.5 | 85.2 |" in text
     assert text.count("\n| ") == 1 + 10 + 1 + 1
     assert "| mean | - | - | - | - | - | - | - |" in text, "no column has every task"
-    assert "500 attempts in plain worlds" in text and "250 rollouts in `real` worlds" in text
+    assert "500 attempts, without the noise" in text and "250 rollouts in `real` worlds" in text
     assert "old" not in text and text.startswith("top") and text.endswith("bottom\n")
     assert not readme_tables.update_page(readme, tmp_path)
     for text, wrong in (("nothing", "without markers"), ("<!-- results --> at the end", "with one of")):
