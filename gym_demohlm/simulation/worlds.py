@@ -241,6 +241,11 @@ class Worlds:
         """(N, size) what the task remembers of each world, see ``Task.memory``."""
         return self._memory.copy()
 
+    @property
+    def collision_force(self) -> np.ndarray:
+        """(N,) largest normal force between robot and obstacles in the last tick [N]."""
+        return self._collisions.copy()
+
     def fallen(self) -> np.ndarray:
         """Return whether the robot has fallen (N,): pelvis low or tilted."""
         _, x, y, _ = self.base_quat_wxyz.T

@@ -315,8 +315,9 @@ class _Bench:
         """Release the simulations, and what draws pictures."""
         for sim in self._sims.values():
             sim.close()
-        if self._pictures is not None:
-            self._pictures.close()
+        drawn = vars(self).get("_pictures")  # not made for this alone
+        if drawn is not None:
+            drawn.close()
 
 
 def _run(

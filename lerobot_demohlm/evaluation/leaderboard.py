@@ -192,7 +192,7 @@ def _require_consistent(path: Path, content: Mapping[str, Any]) -> None:
         found = read_rollouts(file)
         wrong = [name for name, value in _counts(found).items() if json.loads(json.dumps(value)) != cell[name]]
         begin = cell["first_seed"]
-        if [rollout.seed for rollout in found] != list(range(begin, begin + cell["episodes"])):
+        if sorted(rollout.seed for rollout in found) != list(range(begin, begin + cell["episodes"])):
             wrong.append("first_seed")
         if {(rollout.task, rollout.policy_hash) for rollout in found} != {(content["task"], content["policy_hash"])}:
             wrong.append("policy_hash")

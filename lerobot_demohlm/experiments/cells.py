@@ -24,11 +24,10 @@ from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.plan import Cell, RegionCell
 from lerobot_demohlm.experiments.variants import PLAIN, VARIANTS
 from lerobot_demohlm.generation.request import GenerationRequest
-from lerobot_demohlm.generation.run import partial_directory
+from lerobot_demohlm.generation.run import made_so_far, partial_directory
 from lerobot_demohlm.generation.runner import generate
 from lerobot_demohlm.policies.presets import get_preset
 from lerobot_demohlm.policies.training import checkpoint, train
-from lerobot_demohlm.reports.explain import read_run
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 DATA_SEED = 0  # of the datasets; a policy's seed is that of its training
@@ -113,7 +112,7 @@ def _run_region(cell: RegionCell, layout: Layout, effort: Effort) -> GenerationR
         try:
             generate(replace(_request(cell, root, effort), num_attempts=count, variation=worlds))
         except NoSuccessError:  # no dataset, but a result
-            return _counted(cell, read_run(partial_directory(root))[1])
+            return _counted(cell, made_so_far(partial_directory(root)))
     return _counted(cell, read_attempts(root))
 
 

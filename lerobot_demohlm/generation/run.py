@@ -22,8 +22,15 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, NoSuccessError
-from lerobot_demohlm.datasets.facts import GenerationFacts, count_outcomes, read_facts, require_new_root, write_facts
-from lerobot_demohlm.generation.block import block_directory, read_block, storing
+from lerobot_demohlm.datasets.facts import (
+    GenerationFacts,
+    count_outcomes,
+    read_facts,
+    read_records,
+    require_new_root,
+    write_facts,
+)
+from lerobot_demohlm.generation.block import RECORDS, block_directory, read_block, storing
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
@@ -34,6 +41,19 @@ _log = logging.getLogger(__name__)
 def partial_directory(root: Path) -> Path:
     """Return where a run keeps its blocks until it is finished."""
     return root.with_name(root.name + ".partial")
+
+
+def made_so_far(directory: Path) -> list[dict[str, Any]]:
+    """Return the attempts of the blocks in a partial directory, also behind gaps.
+
+    Raises:
+        DatasetError: There are none, or a block is damaged.
+    """
+    blocks = sorted((directory / "blocks").glob("[0-9]*"))
+    records = [record for block in blocks for record in read_records(block / RECORDS)]
+    if not records:
+        raise DatasetError(f"{directory} without a finished block", "some attempts", "wait until there are some")
+    return records
 
 
 def failures_root(root: Path) -> Path:

@@ -15,10 +15,10 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.task import Task
 from lerobot_demohlm.datasets import origin
 from lerobot_demohlm.datasets.episode import Episode
-from lerobot_demohlm.datasets.facts import count_attempts, read_records
+from lerobot_demohlm.datasets.facts import count_attempts
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
-from lerobot_demohlm.generation.block import RECORDS
+from lerobot_demohlm.generation.run import made_so_far
 
 
 def read_run(root: Path, episode: int | None = None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -31,10 +31,7 @@ def read_run(root: Path, episode: int | None = None) -> tuple[dict[str, Any], li
     begun = root / "run.json"
     if not begun.is_file():
         return origin.read_run(root, episode)
-    blocks = sorted((root / "blocks").glob("[0-9]*"))
-    records = [record for block in blocks for record in read_records(block / RECORDS)]
-    if not records:
-        raise DatasetError(f"{root} without a finished block", "some attempts", "wait until there are some")
+    records = made_so_far(root)
     try:
         facts = json.loads(begun.read_text())
         return facts | count_attempts(records), records
