@@ -168,7 +168,7 @@ def check_task(request: Request, name: str) -> Found:
 
 
 def attempt(request: Request, name: str) -> Found:
-    """Generate from a task's new demonstration in R3; what a call that was killed has made is made again."""
+    """Generate from a task's new demonstration in R3, from the beginning, also after a call that was killed."""
     task = get_task(name)
     shutil.rmtree(request.data(task.slug), ignore_errors=True)
     summary = generate(

@@ -92,10 +92,10 @@ def test_policies_that_do_not_fit_are_refused_before_anything_is_sent(
 ) -> None:
     robot, domain = hanging
     other_features = save_policy(tmp_path / "other", state_size=60)
-    heard = Link("lo", domain).reader(LOW_CMD)
+    heard, released = Link("lo", domain).reader(LOW_CMD), []
     with pytest.raises(DemoHLMError, match=r"observation.state \(60,\)"):
-        Deployment(deployed(robot, domain, policy=other_features))
-    assert heard.newest() is None
+        Deployment(deployed(robot, domain, policy=other_features), lambda: released.append(domain))
+    assert heard.newest() is None and not released, "the robot's own controller is still at work"
     other_hands = save_policy(tmp_path / "hands")
     (other_hands / "train_config.json").write_text('{"env": {"task": "GraspCube"}}')
     with pytest.raises(DemoHLMError, match="a policy for gripper hands"):

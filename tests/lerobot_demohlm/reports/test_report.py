@@ -4,13 +4,14 @@ import base64
 import io
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.simulation.judge import OUTCOMES
 from lerobot_demohlm import cli, quickstart
@@ -157,3 +158,12 @@ def test_the_quickstart_scores_two_regions(tmp_path: Path, capsys: pytest.Captur
     for name, region in (("rollouts.jsonl", "R1"), ("rollouts_R3.jsonl", "R3")):
         (line,) = [json.loads(text) for text in (root / name).read_text().splitlines()]
         assert line["region"] == region
+
+
+def test_a_report_of_two_tasks_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = make_rollouts()[0]
+    other = "GraspCube" if first.task != "GraspCube" else "LiftBox"
+    jsonl.append(tmp_path / "rollouts.jsonl", map(asdict, [first, replace(first, task=other)]))
+    call = ["report", "--evaluation", str(tmp_path / "rollouts.jsonl"), "--output", str(tmp_path / "report.html")]
+    assert cli.main(call) == 2
+    assert "of one task" in capsys.readouterr().err and not (tmp_path / "report.html").exists()

@@ -18,7 +18,7 @@ import pytest
 from lerobot_demohlm.teleop.clutch import RETURN_M
 from lerobot_demohlm.teleop.web import protocol
 from lerobot_demohlm.teleop.web.certificate import make_context
-from lerobot_demohlm.teleop.web.server import MAX_REFUSED
+from lerobot_demohlm.teleop.web.server import MAX_REFUSED, _equal
 from tests.helpers.slow_network import slow_network
 from tests.helpers.teleop import Served, serving
 
@@ -308,3 +308,8 @@ def test_the_command_prints_its_address_and_offers_what_a_kill_left(tmp_path: Pa
     assert status["tick"] == status["unfinished"]
     assert "no hand touches anything" in status["verdict"]["refusal"]
     assert not root.exists()
+
+
+@pytest.mark.parametrize(("given", "same"), [("abc", True), ("abd", False), ("ab\u00e9", False), ("\udc80", False)])
+def test_tokens_are_compared_whatever_a_browser_sends(given: str, same: bool) -> None:
+    assert _equal("abc", given) is same
