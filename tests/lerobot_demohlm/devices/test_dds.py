@@ -21,7 +21,9 @@ from tests.helpers.robot import free_domain
 
 
 @pytest.mark.slow
-def test_actions_of_a_loop_move_the_robot_and_silence_holds_it(tmp_path: Path) -> None:
+def test_actions_of_a_loop_move_the_robot_and_silence_holds_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     domain = free_domain()
     process = RobotProcess("LiftBox", domain, tmp_path, ["--gantry-s", "1e9"])
     process.wait_for("hangs", 300.0)
@@ -45,6 +47,12 @@ def test_actions_of_a_loop_move_the_robot_and_silence_holds_it(tmp_path: Path) -
         time.sleep(0.5)
         deployment = robot._world._deployment  # pyright: ignore
         assert deployment.mode.name == "HOLD" and deployment.reason.startswith("policy silent")
+        for _ in range(2):
+            robot.send_action({"base_yaw.vel": 0.0})
+        assert deployment.mode.name == "HOLD"
+        assert [entry.getMessage().partition(" (policy silent")[0] for entry in caplog.records].count(
+            "the robot holds"
+        ) == 1
         robot.reset()
         robot.send_action({"base_yaw.vel": 0.0})
         assert deployment.mode.name == "RUN"

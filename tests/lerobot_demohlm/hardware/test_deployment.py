@@ -209,6 +209,23 @@ def test_watchdogs_answer_in_time(hanging: tuple[RobotProcess, int], tmp_path: P
 
 
 @pytest.mark.slow
+def test_a_policy_that_dies_while_the_robot_stands_is_missed(hanging: tuple[RobotProcess, int], tmp_path: Path) -> None:
+    robot, domain = hanging
+    settings = deployed(
+        robot, domain, policy=save_policy(tmp_path / "policy"), ages=dataclasses.replace(LONG, policy=1.0)
+    )
+    with Deployment(settings) as deployment:
+        until(lambda: deployment.read("state") is not None, 30.0)
+        deployment.request(Mode.STAND)
+        deployment.wait_for(Mode.STAND, 10.0, standing=True)
+        deployment.apply(Fault(kind="stop", at_s=0.0, process="policy"))
+        time.sleep(2.0)
+        deployment.request(Mode.RUN)
+        until(lambda: deployment.reason == "will not run: no policy", 5.0)
+        assert deployment.mode == Mode.STAND and deployment.standing
+
+
+@pytest.mark.slow
 def test_a_stopped_pose_source_holds_and_a_silent_robot_damps(
     hanging: tuple[RobotProcess, int], tmp_path: Path
 ) -> None:
