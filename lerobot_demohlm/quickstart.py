@@ -130,7 +130,8 @@ def run(quickstart: Quickstart) -> Path:
     scoring = f"Scoring {quickstart.num_rollouts} rollouts in {' and in '.join(regions)} from starts it has not seen"
     with _step(durations, 3, scoring):
         from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
-        from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+        from lerobot_demohlm.evaluation.loaded_policy import load_policy
+        from lerobot_demohlm.evaluation.rollouts import Setting
 
         recorder = Recorder()
         with _quiet():

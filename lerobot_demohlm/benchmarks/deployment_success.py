@@ -15,7 +15,8 @@ from gym_demohlm import jsonl
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks.deployment import RobotProcess, machine, robot_and_folder, settings_for, stand_and_run
 from lerobot_demohlm.evaluation.evaluate import wilson
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, load_policy, rollouts
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
 from lerobot_demohlm.hardware import recorder
 from lerobot_demohlm.hardware.deployment import Deployment
 from lerobot_demohlm.hardware.errors import RobotError

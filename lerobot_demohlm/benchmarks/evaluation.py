@@ -16,7 +16,8 @@ from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import Task
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate
-from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+from lerobot_demohlm.evaluation.loaded_policy import load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting
 
 
 def write_standing_policy(path: Path, task: Task) -> Path:

@@ -8,7 +8,8 @@ from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.perception.settings import PerceptionSettings
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, SUCCESSES, summarize
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
+from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
 from lerobot_demohlm.experiments.success_curves import Panel, draw_panels
 
 AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {

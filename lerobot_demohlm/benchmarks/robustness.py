@@ -6,7 +6,8 @@ from typing import Any
 from gym_demohlm.errors import DatasetError, UnknownNameError
 from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting, rollouts
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
+from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
 from lerobot_demohlm.experiments.plan import STRENGTHS, graded
 from lerobot_demohlm.experiments.robustness import SUCCESS
 

@@ -13,7 +13,8 @@ from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.choices import Masks, Perception
 from lerobot_demohlm.cli.parsing import default
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
-from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting, load_policy
+from lerobot_demohlm.evaluation.loaded_policy import load_policy
+from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting
 
 
 @dataclass(frozen=True, kw_only=True)

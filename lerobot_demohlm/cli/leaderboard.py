@@ -52,7 +52,7 @@ def run(options: Options) -> None:
     else:
         import torch
 
-        from lerobot_demohlm.evaluation.rollouts import load_policy
+        from lerobot_demohlm.evaluation.loaded_policy import load_policy
 
         assert options.policy is not None and options.task is not None  # as asked above
         torch.set_num_threads(1)

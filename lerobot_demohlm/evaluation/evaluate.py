@@ -12,8 +12,9 @@ from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation.judge import OUTCOMES
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, OnStep, Setting, roll_batches
+from lerobot_demohlm.evaluation.rollouts import OnStep, Setting, roll_batches
 from lerobot_demohlm.reproducibility import provenance
 
 FIRST_SEED = 1_000_000

@@ -14,8 +14,9 @@ from typing import Any
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, summarize
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, Setting
+from lerobot_demohlm.evaluation.rollouts import Setting
 from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.results import commit

@@ -16,8 +16,9 @@ import torch
 from gym_demohlm.errors import DatasetError, NoSuccessError
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation.evaluate import evaluate
+from lerobot_demohlm.evaluation.loaded_policy import load_policy
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting
 from lerobot_demohlm.evaluation.scoring import SEEDS_A_CELL
 from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult

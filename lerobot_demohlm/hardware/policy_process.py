@@ -14,7 +14,7 @@ from gym_demohlm.envs import observation
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.evaluation.rollouts import LoadedPolicy, act, load_policy, trained_task
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, act, load_policy, trained_task
 from lerobot_demohlm.hardware import records, robot_observation
 from lerobot_demohlm.hardware.records import Mode
 

@@ -187,7 +187,8 @@ def policy_take(
         variation: How worlds differ, as "real".
         perception: How observation and gaze see objects, as "rgbd".
     """
-    from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, rollouts  # loads torch and lerobot's policies
+    from lerobot_demohlm.evaluation.loaded_policy import load_policy  # loads torch and lerobot's policies
+    from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
 
     snapshots: list[Snapshot] = []
 

@@ -59,7 +59,7 @@ def run(options: Options) -> None:
     if options.policy is not None:
         import torch
 
-        from lerobot_demohlm.evaluation.rollouts import load_policy
+        from lerobot_demohlm.evaluation.loaded_policy import load_policy
 
         torch.set_num_threads(1)
         loaded = load_policy(options.policy, options.task)

@@ -14,10 +14,11 @@ from gym_demohlm.errors import DatasetError, PolicyError
 from gym_demohlm.registry import get_task, register_task
 from lerobot_demohlm import cli
 from lerobot_demohlm.evaluation import evaluate as evaluation
-from lerobot_demohlm.evaluation import rollouts
+from lerobot_demohlm.evaluation import loaded_policy, rollouts
 from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, resumed_rollouts, summarize, wilson
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, load_policy, policy_hash
 from lerobot_demohlm.evaluation.rollout import Rollout
-from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, policy_hash
+from lerobot_demohlm.evaluation.rollouts import Setting
 from tests.helpers.checkpoints import save_policy
 
 BRIEF = replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)
@@ -41,7 +42,7 @@ def restless(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_policy(tmp_path_factory.mktemp("restless") / "pretrained_model", scale=0.2)
 
 
-def played(loaded: rollouts.LoadedPolicy, seeds: list[int], **kwargs: int) -> tuple[list[dict], np.ndarray]:
+def played(loaded: LoadedPolicy, seeds: list[int], **kwargs: int) -> tuple[list[dict], np.ndarray]:
     """Roll out and return the records and the physics states of every step (steps, worlds, size)."""
     states: list[np.ndarray] = []
     setting = Setting(task=TASK, region="R1", **kwargs)
@@ -167,7 +168,7 @@ def test_policy_hash_is_of_what_decides_actions(checkpoint: Path, tmp_path: Path
 
 def test_number_of_training_episodes_is_read_where_it_is_known(tmp_path: Path) -> None:
     def count(dataset: dict) -> int | None:
-        return rollouts._num_train_episodes({"dataset": dataset})
+        return loaded_policy._num_train_episodes({"dataset": dataset})
 
     (tmp_path / "data/meta").mkdir(parents=True)
     (tmp_path / "data/meta/info.json").write_text('{"total_episodes": 12}')

@@ -18,7 +18,8 @@ from lerobot_demohlm import cli
 from lerobot_demohlm.datasets import in_memory, writer
 from lerobot_demohlm.datasets.facts import write_facts
 from lerobot_demohlm.evaluation.evaluate import evaluate
-from lerobot_demohlm.evaluation.rollouts import Setting, load_policy
+from lerobot_demohlm.evaluation.loaded_policy import load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting
 from lerobot_demohlm.policies import presets, training
 from lerobot_demohlm.policies.presets import POLICIES, get_preset, policy_config, train_config
 from tests.helpers.synthetic import make_episode, make_facts

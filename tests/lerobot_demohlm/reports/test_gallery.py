@@ -14,7 +14,8 @@ from gym_demohlm.simulation import Simulation
 from lerobot_demohlm import cli
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
-from lerobot_demohlm.evaluation.rollouts import Setting, load_policy, rollouts
+from lerobot_demohlm.evaluation.loaded_policy import load_policy
+from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
 from lerobot_demohlm.generation.attempt import attempt
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.reports import films, gallery

@@ -132,7 +132,7 @@ def test_quickstart_refuses_before_it_works(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.slow
 def test_training_of_the_quickstart(tmp_path: Path) -> None:
     from lerobot_demohlm.datasets import writer
-    from lerobot_demohlm.evaluation.rollouts import load_policy
+    from lerobot_demohlm.evaluation.loaded_policy import load_policy
     from tests.helpers.synthetic import make_episode
 
     writer.write_dataset(tmp_path / "data", "local/data", [make_episode(index) for index in range(3)])
