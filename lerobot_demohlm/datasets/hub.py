@@ -6,10 +6,14 @@ from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import read_facts
 from lerobot_demohlm.datasets.origin import is_edited, is_generated
 
+CONTENT = ("data/*", "meta/*", "videos/*")
+"""Where the files of a dataset lie. LeRobot reads all that it finds there, so those of an earlier push must go."""
+
 
 def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str | None = None) -> str:
-    """Upload a dataset in one commit and tag it with LeRobot's dataset version, as ``LeRobotDataset.push_to_hub`` does.
+    """Upload a dataset and tag it with LeRobot's dataset version, as ``LeRobotDataset.push_to_hub`` does.
 
+    What an earlier push left under ``CONTENT`` and this dataset lacks is deleted; other files of the repository stay.
     LeRobot's own method would put its general card in place of ours. The endpoint and the token are the hub client's:
     ``HF_ENDPOINT``, ``HF_TOKEN`` or ``hf auth login``.
 
@@ -52,7 +56,12 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
         if branch is not None:
             api.create_branch(repo_id, branch=branch, repo_type="dataset", exist_ok=True)
         api.upload_folder(
-            repo_id=repo_id, folder_path=root, repo_type="dataset", revision=branch, commit_message=message
+            repo_id=repo_id,
+            folder_path=root,
+            repo_type="dataset",
+            revision=branch,
+            commit_message=message,
+            delete_patterns=list(CONTENT),
         )
         try:
             api.delete_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")

@@ -87,6 +87,8 @@ class Handler(BaseHTTPRequestHandler):
                     hub.files[value["path"]] = base64.b64decode(value["content"])
                 elif entry["key"] == "lfsFile":
                     hub.files[value["path"]] = hub.objects[value["oid"]]
+                elif entry["key"] == "deletedFile":
+                    del hub.files[value["path"]]
             commit = {"commitUrl": f"{hub.url}/datasets/{REPO}/commit/abc", "commitOid": "abc", "hookOutput": ""}
             self.answer(200, commit)
         elif path == f"{api}/tag/main":
@@ -102,7 +104,10 @@ class Handler(BaseHTTPRequestHandler):
         self.answer(200)
 
     def do_GET(self) -> None:
-        if self.path.startswith(f"/api/datasets/{REPO}"):
+        if self.path.startswith(f"/api/datasets/{REPO}/tree/main"):
+            files = self.server.files.items()
+            self.answer(200, [{"type": "file", "path": name, "size": len(data), "oid": "0"} for name, data in files])
+        elif self.path.startswith(f"/api/datasets/{REPO}"):
             siblings = [{"rfilename": name} for name in self.server.files]
             self.answer(200, {"id": REPO, "sha": "abc", "siblings": siblings})
         else:
@@ -166,6 +171,16 @@ def test_push_twice(hub: FakeHub, root: Path, tmp_path: Path) -> None:
     assert hub.created[0]["type"] == "dataset"
     assert hub.tokens == {"Bearer hf_secret"}
     assert f'LeRobotDataset("{REPO}")' in hub.files["README.md"].decode()  # the card names the repository pushed to
+
+
+def test_files_of_a_larger_dataset_that_was_pushed_before_go(hub: FakeHub, root: Path, tmp_path: Path) -> None:
+    old = ("data/chunk-000/file-007.parquet", "meta/episodes/chunk-000/file-007.parquet", "videos/head/file-000.mp4")
+    hub.files |= dict.fromkeys((*old, "notes.md", ".gitattributes"), b"old")
+    done = push_in_subprocess(hub, root, tmp_path / "hf")
+    assert done.returncode == 0, done.stderr
+    on_disk = {str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()}
+    assert set(hub.files) == on_disk | {"notes.md", ".gitattributes"}
+    assert hub.unexpected == []
 
 
 def test_refusal_is_one_clear_error(hub: FakeHub, root: Path, tmp_path: Path) -> None:
