@@ -32,7 +32,7 @@ class Quickstart:
     Attributes:
         root: Directory of everything that it writes; must not exist.
         task: Name of the task.
-        region: Initial region of the data. The policy is scored there and in R3, the widest region.
+        region: Initial region of the data. The policy is scored there and in R3, the paper's widest region.
         num_episodes: Episodes generated.
         steps: Training steps of 128 samples.
         num_rollouts: Rollouts scored in each region.
@@ -148,7 +148,11 @@ def run(quickstart: Quickstart) -> Path:
         }
         for region in regions:
             success = summarize(scored[region])["success_held"]
-            where = "the region of the data" if region == quickstart.region else "the widest region, without data of it"
+            where = (
+                "the region of the data"
+                if region == quickstart.region
+                else "the paper's widest region, without data of it"
+            )
             low, high = success["interval"]
             _say(
                 f"Success in {region}, {where}: {100 * success['rate']:.0f} % "

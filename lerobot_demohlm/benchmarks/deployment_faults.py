@@ -1,7 +1,7 @@
 """Seeded faults -> how a simulated robot and its deployment answer to each, over DDS and loopback."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,18 @@ from lerobot_demohlm.benchmarks.deployment import (
     settings_for,
     stand_and_run,
 )
+from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware import recorder
 from lerobot_demohlm.hardware.deployment import Deployment
 from lerobot_demohlm.hardware.fault_plan import EXPECTED_MODES, draw_fault
 from lerobot_demohlm.hardware.faults import PROCESS_FAULTS, Fault
 from lerobot_demohlm.hardware.records import Mode
+
+
+def measured_seeds(lines: Iterable[Mapping[str, Any]], task: str, policy: Path) -> set[int]:
+    """Return the seeds of the faults that lines of ``measure_faults`` have for a task and a policy."""
+    wanted = {"part": "faults", "task": get_task(task).name, "policy": policy_hash(policy)[:12]}
+    return {line["seed"] for line in lines if wanted.items() <= line.items()}
 
 
 def measure_faults(task: str, policy: Path, seeds: Sequence[int], domain: int = 183) -> Iterator[dict[str, Any]]:
@@ -52,8 +59,8 @@ def measure_faults(task: str, policy: Path, seeds: Sequence[int], domain: int = 
             for answer in answers:
                 moment = answer.pop("since_ns"), answer["reason"]
                 on_record = None if answer["process"] == "recorder" else moment in known
-                whole = {"part": "faults", "task": get_task(task).name, **answer, "reason_recorded": on_record}
-                yield whole | machine()
+                of = {"part": "faults", "task": get_task(task).name, "policy": policy_hash(policy)[:12]}
+                yield {**of, **answer, "reason_recorded": on_record, **machine()}
 
 
 def _recorded(root: Path) -> set[tuple[int, str]]:

@@ -54,20 +54,22 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, cameras: Sequ
             block = range(first, min(first + BLOCK_SIZE, num_attempts))
             began = time.process_time()
             kept = [episode for episode in plain.run(block) if episode.outcome == "success"]
-            write_dataset(Path(scratch, "states", str(first)), "local/block", kept)
+            if kept:
+                write_dataset(Path(scratch, "states", str(first)), "local/block", kept)
             halfway = time.process_time()
             recorder.clear()
             episodes = recorded.run(block)
             drawn = painter.paint(episodes, recorder, Path(scratch, str(first)))
             kept = [episode for episode in episodes if episode.outcome == "success"]
-            write_dataset(Path(scratch, "pictures", str(first)), "local/block", kept, drawn=drawn)
+            if kept:
+                write_dataset(Path(scratch, "pictures", str(first)), "local/block", kept, drawn=drawn)
             spent["states"] += halfway - began
             spent["pictures"] += time.process_time() - halfway
             successes += len(kept)
             frames += sum(len(episode.success) for episode in kept)
     painter.close()
     plain.close()
-    more = spent["pictures"] - spent["states"]
+    spent_drawing = {"": spent["pictures"] - spent["states"], **{f"{name}_": s for name, s in watch.seconds.items()}}
     return {
         "task": task.name,
         "region": region,
@@ -79,6 +81,5 @@ def measure(task: Task, region: str, seed: int, num_attempts: int, cameras: Sequ
         "cpu_s_states": round(spent["states"], 3),
         "cpu_s_with_pictures": round(spent["pictures"], 3),
         "ratio": round(spent["pictures"] / spent["states"], 3),
-        "ms_per_frame": round(1e3 * more / frames, 3),
-        **{f"{name}_ms_per_frame": round(1e3 * seconds / frames, 3) for name, seconds in watch.seconds.items()},
+        **{f"{name}ms_per_frame": round(1e3 * s / frames, 3) if frames else None for name, s in spent_drawing.items()},
     }

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, UnknownNameError
+from gym_demohlm.registry import get_task
 from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, summarize
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
@@ -45,7 +46,7 @@ def measure(
         found = list(rollouts(loaded, setting, range(FIRST_SEED, FIRST_SEED + num_episodes)))
         summary = summarize(found)
         yield {
-            "task": task,
+            "task": get_task(task).name,
             "region": region,
             "policy": loaded.kind,
             "policy_hash": loaded.hash[:12],

@@ -85,7 +85,7 @@ def _after(docs: Path | None) -> list[list[str]]:
                 "--readme",
                 str(docs.parent / "README.md"),
                 "--pages",
-                str(docs / "perception.md"),
+                *(str(docs / f"{page}.md") for page in ("perception", "policies", "variation")),
             ],
         ]
     return calls

@@ -51,6 +51,10 @@ def run(options: Options) -> None:
     single = options.policy or options.demonstration
     if single and len(tasks) != 1:
         raise DatasetError(f"{len(tasks)} tasks for {single}", "one task", "name it with --task")
+    if options.policy and (options.demonstration or options.index):
+        raise DatasetError(
+            "--policy with --demonstration or --index", "a rollout, or a generated attempt", "leave one of them out"
+        )
     if options.seed < 0 or options.index < 0:
         raise DatasetError(f"seed={options.seed}, index={options.index}", "0 or more", "change them")
     for task in tasks:

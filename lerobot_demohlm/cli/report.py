@@ -42,6 +42,12 @@ def run(options: Options) -> None:
     if options.num_videos < 0 or options.num_workers < 1:
         got = f"num_videos={options.num_videos}, num_workers={options.num_workers}"
         raise DatasetError(got, "0 or more videos and 1 or more workers", "correct them")
+    of_results = options.results is not None
+    other = ("evaluation", "root", "video") if of_results else ("figures", "num_videos")
+    ignored = " and ".join(f"--{name.replace('_', '-')}" for name in other if getattr(options, name))
+    if ignored:
+        got = f"{ignored} {'with' if of_results else 'without'} --results"
+        raise DatasetError(got, "a report of results, or one of rollouts and a dataset", "leave some options out")
     page = _page(options) if options.results is None else _experiments_page(options, options.results)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(page)

@@ -131,7 +131,7 @@ def resumed_rollouts(path: Path, header: Mapping[str, Any]) -> list[Rollout]:
                 raise DatasetError(
                     f"{path} with rollouts of {key}={getattr(rollout, key)}",
                     f"{key}={value}",
-                    "choose another --output",
+                    "choose another --output, or remove this file",
                 )
     return rollouts
 

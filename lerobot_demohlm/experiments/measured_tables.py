@@ -83,7 +83,7 @@ _SPEED: dict[str, tuple[str, str, Callable[[Measurement], tuple[str, str, str]]]
         ),
     ),
     "loading": (
-        "samples loaded a second (chunk 20, batch 512)",
+        "samples loaded a second (chunk {chunk}, batch {batch_size})",
         "`LeRobotDataset`",
         _rate("memory_samples_per_s", "lerobot_samples_per_s", "ratio"),
     ),

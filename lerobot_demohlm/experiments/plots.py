@@ -17,13 +17,13 @@ from lerobot_demohlm.evaluation.evaluate import wilson
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.experiments import paper
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.plan import REGIONS, STRENGTHS
-from lerobot_demohlm.experiments.rates import TITLES, age_of, group, mean_rate, of_the_paper, rate
+from lerobot_demohlm.experiments.plan import GRADED, REGIONS, STRENGTHS
+from lerobot_demohlm.experiments.rates import TITLES, age_of, common_age, group, mean_rate, of_the_paper, rate
 from lerobot_demohlm.experiments.robustness import Row
 from lerobot_demohlm.experiments.tables import by_region
 from lerobot_demohlm.policies.presets import POLICIES
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 260, 190, 36, 16, 38, 28  # of one panel and of its margins [px]
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 270, 206, 48, 14, 38, 44  # of one panel and of its margins [px]
 LEGEND = 28  # px, below the panels
 COLOURS = {"mlp": "#2f6f4f", "act": "#2b5f9e", "diffusion": "#8a5aa8", "paper": "#9aa2ab", "generation": "#2f6f4f"}
 COLOURS |= {"task": "#c3c9d0", "mean": "#2b5f9e"}
@@ -91,12 +91,13 @@ class Panel:
             axes.vlines(places[wide], lows[wide], highs[wide], drawing.INK if self.bars else colour, linewidth=1.2)
 
 
-def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) -> Figure:
+def figure(panels: Sequence[Panel], names: Mapping[str, str], across: str, columns: int = 4) -> Figure:
     """Return panels in rows, with a legend below.
 
     Args:
         panels: One or more.
         names: Texts of the legend by key of COLOURS.
+        across: Label of their horizontal axes; empty where the ticks say it.
         columns: Panels a row.
     """
     columns = min(columns, len(panels))
@@ -105,7 +106,10 @@ def figure(panels: Sequence[Panel], names: Mapping[str, str], columns: int = 4) 
     drawn = drawing.new_figure(width, height)
     for index, panel in enumerate(panels):
         left, top = LEFT + index % columns * WIDTH, TOP + index // columns * HEIGHT
-        panel.draw(drawing.new_axes(drawn, left, top, WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM))
+        axes = drawing.new_axes(drawn, left, top, WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM)
+        panel.draw(axes)
+        axes.set_xlabel(across, fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
+        axes.set_ylabel("success [%]", fontsize=drawing.FONT_SIZE, color=drawing.GREY, labelpad=1)
     handles = [Patch(color=COLOURS[name], label=text) for name, text in names.items()]
     drawn.legend(
         handles=handles,
@@ -156,8 +160,10 @@ def size_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | 
 
     panels = [Panel(title=task, age=ages[task], ticks=ticks, curves=curves([task])) for task in tasks]
     if len(tasks) > 1:
-        panels.append(Panel(title=f"mean of {len(tasks)} tasks", ticks=ticks, curves=curves(tasks)))
-    return figure(panels, {policy: TITLES[policy] for policy in policies} | {"paper": "paper (ACT)"})
+        title = f"mean of {len(tasks)} tasks"
+        panels.append(Panel(title=title, age=age_of(chosen), ticks=ticks, curves=curves(tasks)))
+    names = {policy: TITLES[policy] for policy in policies} | {"paper": "paper (ACT)"}
+    return figure(panels, names, "training episodes")
 
 
 def architectures_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> Figure | None:
@@ -179,10 +185,10 @@ def architectures_figure(lines: Sequence[PolicyResult], preset: str = "cpu") -> 
             if (size, policy) in by_size:
                 mean, low, high = rate(by_size[size, policy])
                 curves.append(Curve(name=policy, points=[(where - 0.04, mean, low, high)]))
-        title = f"{task}, {size} episodes"
-        panels.append(Panel(title=title, age=age_of(found), ticks=ticks, curves=curves, bars=True))
+        title, drawn = f"{task}, {size} episodes", [line for line in found if line.num_train_episodes == size]
+        panels.append(Panel(title=title, age=age_of(drawn), ticks=ticks, curves=curves, bars=True))
     names = {policy: TITLES[policy] for policy in POLICIES} | {"paper": f"paper ({paper.ARCHITECTURE_SIZE})"}
-    return figure(panels, names) if panels else None
+    return figure(panels, names, "") if panels else None
 
 
 def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
@@ -199,7 +205,7 @@ def regions_figure(lines: Sequence[GenerationResult]) -> Figure | None:
         curves = [Curve(name="paper", points=theirs), Curve(name="generation", points=ours)]
         aged = age_of([found[region] for region in REGIONS])
         panels.append(Panel(title=task, age=aged, ticks=ticks, curves=curves))
-    return figure(panels, {"generation": "generation", "paper": "paper"}) if panels else None
+    return figure(panels, {"generation": "generation", "paper": "paper"}, "region") if panels else None
 
 
 def robustness_figure(rows: Sequence[Row]) -> Figure | None:
@@ -208,7 +214,7 @@ def robustness_figure(rows: Sequence[Row]) -> Figure | None:
     ticks = [(place, f"{strength:g}") for place, strength in zip(places, (0.0, *STRENGTHS), strict=True)]
     panels = []
     for name in GROUPS:
-        rates = {row.name: [share for _, share, _, _ in row.points(name)] for row in rows}
+        rates = {row.name + row.age: [share for _, share, _, _ in row.points(name)] for row in rows}
         whole = {policy: shares for policy, shares in rates.items() if len(shares) == len(places)}
         if whole:
             drawn = {**whole, f"mean of {len(whole)}": np.mean(list(whole.values()), axis=0).tolist()}
@@ -220,8 +226,10 @@ def robustness_figure(rows: Sequence[Row]) -> Figure | None:
                 )
                 for policy, shares in drawn.items()
             ]
-            panels.append(Panel(title=name, ticks=ticks, curves=curves))
-    return figure(panels, {"mean": "mean", "task": "one task"}, columns=3) if panels else None
+            aged = common_age([row.age for row in rows if row.name + row.age in whole])
+            panels.append(Panel(title=name, age=aged, ticks=ticks, curves=curves))
+    names = {"mean": "mean", "task": "one task"}
+    return figure(panels, names, f"strength of {GRADED}", columns=3) if panels else None
 
 
 def failure_map(rollouts: Sequence[Rollout], bins: int = 8, size: int = 260) -> Figure:

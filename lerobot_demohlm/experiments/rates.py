@@ -112,8 +112,12 @@ def age(line: Stamped) -> str:
 
 def age_of(lines: Sequence[Stamped]) -> str:
     """Return what stands behind what several results are shown in, by how many of them are of an earlier version."""
-    aged = [age(line) for line in lines]
-    return max(aged) if len(set(aged)) == 1 else PARTLY_EARLIER
+    return common_age([age(line) for line in lines])
+
+
+def common_age(ages: Sequence[str]) -> str:
+    """Return what stands behind what is shown of several things by what stands behind each; nothing for none."""
+    return PARTLY_EARLIER if len(set(ages)) > 1 else max(ages, default="")
 
 
 def group(lines: Iterable[PolicyResult], *keys: str) -> dict[tuple[Any, ...], list[PolicyResult]]:

@@ -38,6 +38,8 @@ VARIANT_NOTES = {
 VARIED = "real"  # the data and the worlds of the tables that are shown first
 SHOWN_EPISODES = 1000  # training episodes of the policies in them
 NUM_ROLLOUTS = 250
+_TRAINING = ("task", "num_train_episodes", "train_seed", "steps", "region", "variant", "recipe", "train_s")
+"""What two lines of one training agree in: it may have been scored in several worlds."""
 
 
 def main_table(lines: Iterable[PolicyResult]) -> str:
@@ -82,7 +84,7 @@ def architectures_table(lines: Iterable[PolicyResult]) -> str:
         return ""
     names = [TITLES[policy] for policy in POLICIES]
     header = ["task", "episodes", "preset", *names, *(f"paper: {name}" for name in names)]
-    title = f"**Success by policy** [%], one row one dataset; the paper's with {paper.ARCHITECTURE_SIZE} episodes"
+    title = f"**Success by policy** [%], R3; the paper's with {paper.ARCHITECTURE_SIZE} episodes"
     return f"{title}\n\n" + markdown(header, rows)
 
 
@@ -133,7 +135,7 @@ def variants_table(lines: Iterable[PolicyResult]) -> str:
     if not rows:
         return ""
     header = ["task", "region", "policy", "episodes", *names, *(f"generation: {name}" for name in names)]
-    title = "**Success by how the training data was generated** [%], the same rollouts for all, and that of generation"
+    title = "**Success by how the training data was generated** [%], and that of generation"
     notes = [f"{name}: {note}" for name, note in VARIANT_NOTES.items() if name in names]
     return "; ".join([title, *notes]) + "\n\n" + markdown(header, rows)
 
@@ -216,12 +218,13 @@ def cost_table(lines: Iterable[PolicyResult]) -> str:
     rows = []
     for (policy, preset, device), found in group(latest(lines), "policy", "preset", "train_device").items():
         hours = [line.rollouts_per_hour for line in found if line.rollouts_per_hour]
+        trainings = {tuple(getattr(line, key) for key in _TRAINING): line for line in found}.values()
         rows.append(
             [
                 f"{TITLES[policy]}, {preset}" + trained_on(device),
-                str(len(found)),
-                f"{np.median([line.train_s for line in found]) / 60:.1f} min",
-                f"{np.median([line.train_samples_per_s for line in found]):.0f}",
+                str(len(trainings)),
+                f"{np.median([line.train_s for line in trainings]) / 60:.1f} min",
+                f"{np.median([line.train_samples_per_s for line in trainings]):.0f}",
                 f"{np.median(hours):.0f}" if hours else "-",
             ]
         )
@@ -232,7 +235,8 @@ def cost_table(lines: Iterable[PolicyResult]) -> str:
 
 def experiments_tables(lines: Sequence[PolicyResult]) -> str:
     """Return every table that lines of ``experiments.jsonl`` fill."""
-    parts = [main_table(line for line in lines if line.region == DEFAULT_REGION), architectures_table(lines)]
+    usual = [line for line in lines if line.region == DEFAULT_REGION]
+    parts = [main_table(usual), architectures_table(usual)]
     parts += [worlds_table(lines), perception_table(lines), variants_table(lines), cost_table(lines)]
     return "\n\n".join(part for part in parts if part)
 

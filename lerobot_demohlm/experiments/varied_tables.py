@@ -21,6 +21,7 @@ from lerobot_demohlm.experiments.rates import (
     number,
     steps_title,
     strict_rate,
+    trained_on,
 )
 from lerobot_demohlm.experiments.tables import SHOWN_EPISODES, VARIED
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
@@ -150,7 +151,8 @@ def seeds_table(results: Path) -> str:
     rows = []
     for (region, policy, task), found in group(_shown_scores(results), "region", "policy", "task").items():
         if len(found) > 1:
-            rates = [_shown(*_cell([line])) for line in sorted(found, key=lambda line: line.train_seed)]
+            found = sorted(found, key=lambda line: line.train_seed)
+            rates = [_shown(*_cell([line])) + trained_on(line.train_device) for line in found]
             rows.append([task, region, TITLES[policy], ", ".join(rates)])
     return markdown(["task", "region", "policy", "each training"], rows)
 
@@ -183,8 +185,11 @@ def _longest(by_steps: Mapping[int, list[PolicyResult]], steps: int) -> list[Pol
 
 
 def _chance(first: Sequence[PolicyResult], second: Sequence[PolicyResult]) -> str:
-    """Return how likely chance makes such a difference of strict successes; a dash where their data differ in age."""
-    if len({line.stamp for line in (*first, *second)}) > 1:
+    """Return how likely chance makes such a difference of strict successes.
+
+    A dash where their data differ in age, or where one was trained on a GPU and the other was not.
+    """
+    if len({(line.stamp, line.train_device) for line in (*first, *second)}) > 1:
         return "-"
     table = []
     for lines in (first, second):

@@ -36,6 +36,13 @@ from lerobot_demohlm.reports.films import policy_take, write_take
 from lerobot_demohlm.reproducibility.processes import end_with_parent
 
 VIDEO_WIDTH = 320  # px
+CAPTIONS = {
+    "regions": "Success of generation by initial region, ours and the paper's",
+    "robustness": "Strict success of policies against the strength of each group of a variation: one line a task",
+    "sizes": "Success of policies by the number of training episodes, ours and the paper's",
+    "architectures": "Success by policy, ours and the paper's",
+}
+"""What stands below a figure, by the beginning of its file's name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,7 +250,10 @@ def render_page(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> st
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True)
     template = (importlib.resources.files("lerobot_demohlm.reports") / "templates" / "experiments.html.j2").read_text()
     return environment.from_string(template).render(
-        figures=[drawing.svg(figure) for figure in figures(layout.results).values()],
+        figures=[
+            (drawing.svg(figure), CAPTIONS[Path(name).stem.partition("_")[0]])
+            for name, figure in figures(layout.results).items()
+        ],
         tables=html_tables(readme_tables.tables(layout.results)),
         sections=sections(layout, num_videos, num_workers),
         markup=Markup,

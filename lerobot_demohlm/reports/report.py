@@ -100,7 +100,14 @@ def render_report(
         success_texts=SUCCESS_TEXTS,
         percent=lambda rate: f"{100 * rate:.1f} %",
         outcomes_table=outcomes_table,
+        worlds=worlds,
     )
+
+
+def worlds(variation: str, perception: str) -> str:
+    """Return in which worlds something was done, and with which eyes: nothing in plain worlds with exact ones."""
+    varied = "" if variation == "none" else f", in worlds that vary by {variation}"
+    return varied + ("" if perception == "exact" else f", objects seen by {perception}")
 
 
 def outcomes_table(outcomes: Mapping[str, int], count: int) -> Markup:

@@ -64,7 +64,7 @@ def run(options: Options) -> None:
         )
     else:
         call += f" --task {options.task} --seed {options.seed} --num-runs {options.num_runs}"
-        done = {line["seed"] for line in _lines(options.append) if line["part"] == "faults"}
+        done = deployment_faults.measured_seeds(_lines(options.append), options.task, options.policy)
         results = deployment_faults.measure_faults(
             options.task, options.policy, [seed for seed in seeds if seed not in done]
         )

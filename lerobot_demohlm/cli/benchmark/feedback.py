@@ -38,8 +38,9 @@ def run(options: Options) -> None:
     from lerobot_demohlm.experiments.probe_tables import feedback_table
 
     tasks = [get_task(name) for name in options.tasks]
+    names = [task.name for task in tasks]
     replays, path = options.replays or tuple(REPLAYS), options.results / "feedback.jsonl"
     for line in measure(tasks, options.variations, replays, options.num_attempts, path, options.region):
         found = f"{line.strict} of {line.attempts} {line.reasons}"
         print(f"{line.task} {line.variation} {line.replay}: {found}", flush=True)
-    print(feedback_table([line for line in read_measurements(path) if line["task"] in options.tasks]))
+    print(feedback_table([line for line in read_measurements(path) if line["task"] in names]))

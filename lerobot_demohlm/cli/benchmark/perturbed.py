@@ -41,11 +41,11 @@ def run(options: Options) -> None:
 
     hush_torchcodec()
 
-    names = options.tasks or tuple(all_tasks())
+    tasks = [get_task(name) for name in options.tasks or all_tasks()]
     operators = range(options.first, options.first + options.num_operators)
     lines = []
     for line in measure(
-        [get_task(name) for name in names],
+        tasks,
         operators,
         options.num_attempts,
         options.append,
@@ -56,4 +56,4 @@ def run(options: Options) -> None:
         found = f"{line.successes} of {line.attempts} attempts, {line.tries} recordings"
         print(f"{line.task} {line.operator}: {line.refusal or found}", flush=True)
         lines.append(line)
-    print(table(lines, names))
+    print(table(lines, [task.name for task in tasks]))

@@ -35,8 +35,8 @@ def run(options: Options) -> None:
     from lerobot_demohlm.experiments.lines import read_measurements
     from lerobot_demohlm.experiments.probe_tables import variation_table
 
-    names = options.tasks or tuple(all_tasks())
-    tasks = [get_task(name) for name in names]
+    tasks = [get_task(name) for name in options.tasks or all_tasks()]
+    names = [task.name for task in tasks]
     variations = options.variations or PROBES
     path = options.results / "variation.jsonl"
     for line in measure(tasks, variations, options.num_attempts, path, options.region):

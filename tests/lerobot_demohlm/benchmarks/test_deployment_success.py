@@ -14,9 +14,12 @@ import gym_demohlm  # noqa: F401
 from gym_demohlm import jsonl
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks import deployment_success
+from lerobot_demohlm.benchmarks.deployment_faults import measured_seeds
 from lerobot_demohlm.benchmarks.deployment_success import SuccessLine, measure_success, read, table
+from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.records import Mode
+from tests.helpers.checkpoints import save_policy
 from tests.helpers.paths import REPOSITORY
 
 LINE = SuccessLine(
@@ -85,3 +88,12 @@ def test_a_robot_that_damps_before_it_runs_fails_its_start_alone(mode: Mode, mon
     robot: Any = SimpleNamespace()
     with nullcontext() if mode == Mode.DAMP else pytest.raises(RobotError, match="control slept"):
         deployment_success._stand_and_run(deployment, robot)
+
+
+def test_faults_are_measured_again_for_another_task_or_policy(tmp_path: Path) -> None:
+    one, other = save_policy(tmp_path / "one"), save_policy(tmp_path / "other", scale=0.1)
+    of = {"part": "faults", "policy": policy_hash(one)[:12]}
+    lines = [{**of, "task": "LiftBox", "seed": 3}, {**of, "task": "GraspCube", "seed": 4}, {"part": "link"}]
+    assert measured_seeds(lines, "LiftBox", one) == {3}
+    assert measured_seeds(lines, "GraspCube-v0", one) == {4}
+    assert measured_seeds(lines, "LiftBox", other) == set()

@@ -74,7 +74,7 @@ def test_stamps_say_which_worlds(counted: list[str]) -> None:
 def test_the_ways_to_replay_become_a_table(
     tmp_path: Path, counted: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call = ["benchmark", "feedback", "--tasks", "LiftBox", "--num-attempts", "2", "--results", str(tmp_path)]
+    call = ["benchmark", "feedback", "--tasks", "LiftBox-v0", "--num-attempts", "2", "--results", str(tmp_path)]
     assert main(call) == 0
     plain = [name for name, replay in feedback.REPLAYS.items() if replay.in_plain]
     assert counted == ["none"] * len(plain) + ["real"] * len(feedback.REPLAYS)

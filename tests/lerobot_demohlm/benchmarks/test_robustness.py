@@ -11,6 +11,7 @@ from gym_demohlm.variation import get_variation
 from gym_demohlm.variation.factors import GROUPS
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.experiments.plan import STRENGTHS, graded
+from lerobot_demohlm.experiments.robustness import measured
 from tests.helpers.checkpoints import save_policy
 
 
@@ -40,6 +41,10 @@ def test_lines_become_a_table_and_a_figure(tmp_path: Path, capsys: pytest.Captur
     row = next(text for text in capsys.readouterr().out.splitlines() if text.startswith("| Patience R3"))
     assert "| 100 | 100 / 100 / 100 | - / - / - |" in row
     assert figure.stat().st_size > 0
+    other = [line | {"policy_hash": "another", "success_strict": {"rate": 0.5}} for line in found[:1]]
+    jsonl.append(results, other)
+    (row,) = measured(results)
+    assert row.shares == {"none": (1, 2)}, "of two policies of a kind it is the one that was measured last"
 
 
 @pytest.mark.parametrize("wrong", [["--groups", "weather"], ["--num-episodes", "0"]])

@@ -93,6 +93,17 @@ def test_tables_have_the_papers_numbers_beside_ours(tmp_path: Path) -> None:
     assert "| MLP, cpu | 6 | 10.0 min | 5000 | 2000 |" in text
 
 
+def test_a_training_counts_once_and_a_table_of_policies_is_of_one_region() -> None:
+    varied = dataclasses.replace(CELL, variant="real", num_train_episodes=1000)
+    worlds = [dataclasses.replace(varied, variation=name) for name in ("none", "real", "hard")]
+    again = dataclasses.replace(varied, train_seed=1)
+    assert "| MLP, cpu | 2 |" in tables.cost_table(map(make_line, [*worlds, again]))
+    narrow = [make_line(dataclasses.replace(CELL, policy=policy), 250) for policy in ("mlp", "act")]
+    wide = [make_line(dataclasses.replace(CELL, policy=policy, region="R4"), 100) for policy in ("mlp", "act")]
+    row = "| LiftBox | 100 | cpu | 100.0 (98.5 to 100.0) | 100.0 (98.5 to 100.0) | - |"
+    assert row in tables.experiments_tables([*narrow, *wide])
+
+
 def test_the_mean_of_robustness_is_of_the_policies_that_are_measured_at_all_strengths() -> None:
     strong = {
         graded("pushes", strength): (successes, 50) for strength, successes in zip(STRENGTHS, (40, 30, 20), strict=True)
@@ -107,8 +118,11 @@ def test_the_mean_of_robustness_is_of_the_policies_that_are_measured_at_all_stre
     ]
     drawn = plots.robustness_figure(rows)
     assert drawn is not None and [axes.get_title("left") for axes in drawn.axes] == ["pushes"]
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in drawn.axes] == [("strength of hard", "success [%]")]
     np.testing.assert_allclose(points(drawn), [100, 80, 60, 40, 80, 60, 40, 0, 90, 70, 50, 20])
     assert plots.robustness_figure(rows[2:]) is None
+    aged = plots.robustness_figure([dataclasses.replace(rows[0], age=rates.EARLIER), *rows[1:]])
+    assert aged is not None and aged.axes[0].get_title("left") == "pushes\nin part an earlier version"
 
 
 def points(figure: Figure) -> list[float]:

@@ -177,6 +177,8 @@ def test_a_page_may_have_tables_that_compare_trainings(tmp_path: Path) -> None:
         ({"train_seed": 1}, 110, {}),
         ({"steps": 24000}, 150, {}),
         ({"task": "PressCube"}, 200, {}),
+        ({"task": "PressCube", "train_seed": 1}, 200, {"train_device": "cuda"}),
+        ({"task": "PressCube", "steps": 24000}, 225, {}),
         ({"variant": "noise"}, 25, {}),
         ({"variant": "noise", "variation": "none"}, 250, {}),
         ({"region": "R4"}, 50, {"stamp": "old"}),
@@ -191,11 +193,13 @@ def test_a_page_may_have_tables_that_compare_trainings(tmp_path: Path) -> None:
     assert [line for line in page.read_text().splitlines() if line.startswith("| ")] == [
         "| task | region | policy | 8,000 steps | 24,000 steps | p |",
         "| LiftBox | R3 | MLP | 42.0 | 60.0 | below 0.001 |",  # 210 of 500, then 150 of 250
+        "| PressCube | R3 | MLP | 80.0 | 90.0 | - |",  # one was trained on a GPU
         "| LiftBox | R4 | MLP | 20.0, an earlier version | 30.0 | - |",
-        "| mean of 2 tasks | R3 | MLP | 61.0 | 70.0 | - |",
+        "| mean of 2 tasks | R3 | MLP | 61.0 | 75.0 | - |",
         "| mean of 2 tasks | R4 | MLP | - | - | - |",
         "| task | region | policy | each training |",
         "| LiftBox | R3 | MLP | 40.0, 44.0 |",
+        "| PressCube | R3 | MLP | 80.0, 80.0, trained on cuda |",
         "| task | policy | of plain data | of `real` data |",
         "| LiftBox | MLP | 10.0 | 42.0 |",
     ]

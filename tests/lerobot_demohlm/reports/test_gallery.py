@@ -124,6 +124,7 @@ def test_films_and_pages(take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyP
         ["--policy", "nowhere"],
         ["--variation", "windy"],
         ["--task", "LiftBox", "--policy", "nowhere"],
+        ["--task", "LiftBox", "--policy", "nowhere", "--index", "1"],
     ],
 )
 def test_wrong_input_is_one_line_and_writes_nothing(

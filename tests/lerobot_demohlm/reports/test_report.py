@@ -105,6 +105,13 @@ def test_strict_success_comes_first_where_it_was_judged() -> None:
     assert '<span class="big">80.0 %</span> of 10 rollouts succeeded' in again
 
 
+def test_a_report_says_in_which_worlds_and_with_which_eyes() -> None:
+    plain, first = render_report(title="LiftBox", rollouts=make_rollouts()), make_rollouts()[0]
+    assert "worlds that vary" not in plain and "seen by" not in plain
+    page = render_report(title="LiftBox", rollouts=[replace(first, variation="hard", perception="rgbd")])
+    assert f"{first.region}, in worlds that vary by hard, objects seen by rgbd, seeds" in page
+
+
 def test_a_report_says_what_success_depended_on() -> None:
     failed = replace(
         make_rollouts()[0], success_strict=False, initial_state={"robot": [0.0, 0.0, 0.0], "object": [0.0] * 3}
@@ -150,7 +157,7 @@ def test_the_quickstart_scores_two_regions(tmp_path: Path, capsys: pytest.Captur
     assert cli.main(["quickstart", "--root", str(root), *counts]) in (None, 0)
     said = capsys.readouterr()
     assert "Success in R1, the region of the data: " in said.err
-    assert "Success in R3, the widest region, without data of it: " in said.err
+    assert "Success in R3, the paper's widest region, without data of it: " in said.err
     assert said.out.splitlines()[-1] == str(root / "report.html")
     saved = json.loads((root / "train/checkpoints/last/pretrained_model/train_config.json").read_text())
     assert (saved["batch_size"], saved["num_workers"]) == (quickstart.BATCH_SIZE, 0)
@@ -167,3 +174,17 @@ def test_a_report_of_two_tasks_is_refused(tmp_path: Path, capsys: pytest.Capture
     call = ["report", "--evaluation", str(tmp_path / "rollouts.jsonl"), "--output", str(tmp_path / "report.html")]
     assert cli.main(call) == 2
     assert "of one task" in capsys.readouterr().err and not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "got"),
+    [
+        (["--results", "results", "--root", "nowhere", "--video", "none.mp4"], "--root and --video with --results"),
+        (["--evaluation", "nowhere.jsonl", "--num-videos", "2"], "--num-videos without --results"),
+    ],
+)
+def test_options_of_the_other_report_are_refused(
+    options: list[str], got: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["report", *options, "--output", str(tmp_path / "report.html")]) == 2
+    assert got in capsys.readouterr().err and not (tmp_path / "report.html").exists()
