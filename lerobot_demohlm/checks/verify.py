@@ -266,9 +266,9 @@ class _Bench:
     @functools.cached_property
     def _pictures(self) -> PictureCheck | None:
         root = self._request.root
-        if origin.is_edited(root) or not PictureFacts.read(read_facts(root)).cameras:
-            return None
         facts = read_facts(root)
+        if origin.is_edited(root) or not PictureFacts.read(facts).cameras or not reader.has_videos(root):
+            return None
         return PictureCheck(root, self._task.at(facts["region"]), facts)
 
     def _by_run(self, entries: Sequence[StoredEpisode]) -> list[tuple[dict[str, Any], list[StoredEpisode]]]:

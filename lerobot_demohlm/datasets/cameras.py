@@ -128,3 +128,8 @@ class PictureFacts:
             return {}
         varied = {"light": self.light, "texture": self.texture, "camera_shift": self.camera_shift}
         return {"pictures": {"cameras": [str(camera) for camera in self.cameras], **varied}}
+
+
+def is_video(feature: Mapping[str, Any]) -> bool:
+    """Tell whether a feature of a dataset is a video."""
+    return feature["dtype"] == "video"

@@ -16,6 +16,8 @@ from lerobot.utils.constants import OBS_ENV_STATE
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
+from gym_demohlm.variation import get_variation
+from lerobot_demohlm.datasets.cameras import PictureFacts, is_video
 from lerobot_demohlm.datasets.facts import read_facts
 
 TEMPLATE = "card.md.j2"
@@ -60,18 +62,24 @@ def render_values(values: Mapping[str, Any]) -> str:
     template = (importlib.resources.files("lerobot_demohlm.datasets") / TEMPLATE).read_text()
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, keep_trailing_newline=True)
     ends = [((outcome, stage), count) for outcome, stage, count in values["ends"]]
+    facts, features = values["facts"], values["features"]
+    pictures = PictureFacts.read(facts if any(map(is_video, features.values())) else {})  # failed attempts have none
     poses = values["features"][OBS_ENV_STATE]["shape"][0] // _POSE_NUMBERS
     return (
         environment.from_string(template)
         .render(
             repo_id=values["repo_id"],
-            facts=values["facts"],
+            facts=facts,
             info=values["info"],
-            features=values["features"],
+            features=features,
             ends=ends,
             failed=bool(ends) and all(outcome != "success" for (outcome, _), _ in ends),
             num_objects=poses,
-            hands=_HANDS[get_task(values["facts"]["task"]).hands],
+            hands=_HANDS[get_task(facts["task"]).hands],
+            varied=get_variation(facts.get("variation", "none")).groups,
+            perception=facts.get("perception", "exact"),
+            cameras=[str(camera) for camera in pictures.cameras],
+            lit=pictures.light > 0.0,
         )
         .lstrip()
     )

@@ -3,6 +3,7 @@
 Episodes are read a few at a time, so the memory it takes does not grow with the dataset.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import pyarrow as pa
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import InitialState
+from lerobot_demohlm.datasets.cameras import is_video
 from lerobot_demohlm.datasets.episode import executed_of
 from lerobot_demohlm.datasets.facts import read_attempts
 from lerobot_demohlm.datasets.origin import is_edited, read_origins
@@ -63,6 +65,11 @@ def lengths(root: Path) -> dict[int, int]:
         DatasetError: ``meta/episodes`` is missing or damaged, or lacks what only ``demohlm generate`` writes there.
     """
     return {row["episode_index"]: row["length"] for row in _labels(root, None)}
+
+
+def has_videos(root: Path) -> bool:
+    """Tell whether a dataset has videos: that of failed attempts has none, whatever its run draws."""
+    return any(map(is_video, json.loads((root / "meta" / "info.json").read_text())["features"].values()))
 
 
 def attempt_of(root: Path, episode: int) -> int:

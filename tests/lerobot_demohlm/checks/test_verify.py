@@ -77,6 +77,13 @@ def test_failed_attempts_agree_too_and_batches_do_not_matter(small_run: Path) ->
     assert outcome.episodes == len(run.FAILED)
 
 
+def test_failed_attempts_of_a_run_with_pictures_have_none_to_compare(small_run: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(failures_root(small_run), tmp_path / "failures")
+    path = root / "meta" / "demohlm.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"pictures": {"cameras": ["head:96x96:rgb"]}}))
+    assert verify.verify(root, run.TASK, [0]).identical
+
+
 @pytest.mark.parametrize("column", ["action", "observation.state", "observation.environment_state"])
 def test_a_flipped_bit_in_the_data_is_found(copy: Path, column: str) -> None:
     def change(rows: list[list[float]]) -> None:

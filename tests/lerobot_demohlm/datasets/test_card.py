@@ -42,6 +42,27 @@ def test_a_ready_card_is_what_would_be_pushed(name: str) -> None:
         assert words in text
 
 
+def test_a_card_tells_of_pictures_varied_worlds_and_eyes() -> None:
+    values = json.loads((FOLDER / card.FACTS_FOLDER / "lift_box.json").read_text())
+    values["facts"] |= {"variation": "real:objects+robot", "perception": "rgbd", "wordings": True}
+    values["facts"] |= {"pictures": {"cameras": ["head:96x96:rgb"], "light": 0.5}}
+    blind = card.render_values(values)
+    assert "No images" in blind, "failed attempts have no pictures, whatever their run draws"
+    video = {"dtype": "video", "shape": [96, 96, 3], "names": ["height", "width", "channel"]}
+    text = card.render_values({**values, "features": {**values["features"], "observation.images.head": video}})
+    for words in (
+        "Pictures of head:96x96:rgb; no forces",
+        "these groups vary, too: objects, robot.",
+        "what `rgbd` sees of it",
+        "| Variation | `real:objects+robot` |",
+        "| Cameras | head:96x96:rgb, light 0.5 |",
+        "| Sentence | the task in several wordings |",
+    ):
+        assert words in text
+    for words in ("No images", "without error or delay", "Only the start varies", "these exact poses"):
+        assert words not in text
+
+
 def test_all_cards_are_rendered_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "cards"
     shutil.copytree(FOLDER / card.FACTS_FOLDER, folder / card.FACTS_FOLDER)
