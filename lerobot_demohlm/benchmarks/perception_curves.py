@@ -8,6 +8,7 @@ from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, SUCCESSES, summarize
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
 from lerobot_demohlm.evaluation.rollouts import Setting, rollouts
@@ -68,6 +69,7 @@ def measure(
         summary = summarize(found)
         yield {
             "task": get_task(task).name,
+            "stamp": portability.stamp(get_task(task)),
             "region": region,
             "policy": loaded.kind,
             "policy_hash": loaded.hash[:12],
@@ -83,7 +85,8 @@ def measured(lines: Path, loaded: LoadedPolicy, task: str, region: str, num_epis
     """Return the perceptions that a file of ``measure``'s lines has for a policy with as many rollouts."""
     if not lines.exists():
         return set()
-    wanted = {"task": get_task(task).name, "region": region, "policy_hash": loaded.hash[:12], "episodes": num_episodes}
+    of = {"task": get_task(task).name, "stamp": portability.stamp(get_task(task))}
+    wanted = {**of, "region": region, "policy_hash": loaded.hash[:12], "episodes": num_episodes}
     return {line["perception"] for line in jsonl.read(lines) if wanted.items() <= line.items()}
 
 

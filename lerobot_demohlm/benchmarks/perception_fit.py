@@ -15,6 +15,7 @@ from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.visibility import Visibility
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.reports.films import Snapshot, generated_take
 
 FITTED = "rgbd"
@@ -107,6 +108,7 @@ def _compared(
         lines.append(
             {
                 "task": task.name,
+                "stamp": portability.stamp(task),
                 "object": entry.name,
                 "fitted_to": model.origin,
                 "fit": model.hash[:12],

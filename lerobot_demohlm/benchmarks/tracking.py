@@ -22,6 +22,7 @@ from gym_demohlm.perception.visual_model import VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import ObjectSpec, Task
 from gym_demohlm.timing import STEP_DT
+from lerobot_demohlm.checks import portability
 from lerobot_demohlm.reports.films import Snapshot, generated_take
 
 SEEN = 0.2  # an object of which less is visible may be lost
@@ -121,6 +122,7 @@ def measure(task: Task, region: str, seed: int, indices: Sequence[int]) -> list[
         lines.append(
             {
                 "task": task.name,
+                "stamp": portability.stamp(task),
                 "object": entry.name,
                 "region": region,
                 "seed": seed,

@@ -6,8 +6,7 @@ from lerobot_demohlm.experiments.controller_tables import followed, pairs, robus
 from lerobot_demohlm.experiments.lines import Measurement, newest
 from lerobot_demohlm.experiments.perception_tables import curves_table, fit_table, tracking_table
 from lerobot_demohlm.experiments.probe_tables import feedback_table, variation_table
-from lerobot_demohlm.experiments.rates import EARLIER, markdown
-from lerobot_demohlm.experiments.variants import stamp
+from lerobot_demohlm.experiments.rates import markdown, measured_age
 
 SHARES = {
     "mj_step": "`mj_step`",
@@ -18,15 +17,10 @@ SHARES = {
 }
 
 
-def _unstamped(line: Measurement) -> str:
-    """Return ", an earlier version" for a measurement of a task that generation has changed since, or may have."""
-    return "" if line.get("stamp") == stamp(line["task"]) else EARLIER
-
-
 def _time(lines: Sequence[Measurement]) -> str:
     rows = [
         [
-            line["task"] + _unstamped(line),
+            line["task"] + measured_age(line),
             line["region"],
             f"{line['successes']} of {line['attempts']}",
             f"{line['seconds_per_episode']:.2f} s",
@@ -43,7 +37,7 @@ def _time(lines: Sequence[Measurement]) -> str:
 def _varied_speed(lines: Sequence[Measurement]) -> str:
     rows = [
         [
-            line["task"] + _unstamped(line),
+            line["task"] + measured_age(line),
             line["region"],
             f"`{line['variation']}`",
             f"{line['plain_steps_per_s']:,}",
@@ -157,7 +151,7 @@ def _lint(lines: Sequence[Measurement]) -> str:
         numbers = {name: f"{line['found'][name]:g}" for name in _LINT}
         numbers["replays: success"] = f"{100 * line['found']['replays: success']:g} %"
         verdict = ", ".join(line["failed"]) or "pass"
-        made_at = line.commit + _unstamped(line)
+        made_at = line.commit + measured_age(line)
         rows.append([line["task"], str(line["num_episodes"]), *numbers.values(), verdict, made_at])
     header = ["task", "worlds, replays", *_LINT.values(), "checks", "commit"]
     title = "**Tasks under random commands**, and replays of their demonstrations from other starts"

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from lerobot_demohlm.evaluation.evaluate import wilson
-from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
-from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
+from lerobot_demohlm.experiments.lines import GenerationResult, Measurement, PolicyResult
+from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, stamp
 from lerobot_demohlm.policies.presets import get_preset
 
 RESAMPLES = 10_000
@@ -108,6 +108,11 @@ def of_the_paper(lines: Iterable[PolicyResult]) -> list[PolicyResult]:
 def age(line: Stamped) -> str:
     """Return what stands behind a result when what its task's data is made by has changed since, else nothing."""
     return "" if line.stamp == line.stamp_now else EARLIER
+
+
+def measured_age(line: Measurement) -> str:
+    """Return what stands behind a measurement of a task that generation has changed since, or may have, else nothing."""
+    return "" if line.get("stamp") == stamp(line["task"]) else EARLIER
 
 
 def age_of(lines: Sequence[Stamped]) -> str:

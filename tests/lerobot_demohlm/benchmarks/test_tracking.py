@@ -8,6 +8,7 @@ from gym_demohlm import jsonl
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.experiments.lines import Measurement
 from lerobot_demohlm.experiments.perception_tables import fit_table, tracking_table
+from lerobot_demohlm.experiments.variants import stamp
 
 
 def test_seen_poses_are_measured_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,7 +35,12 @@ def test_tables_show_the_newest_of_each_object() -> None:
     old, new = ({**_TRACKED, "position_mm": {"median": value, "p95": 5.0}} for value in (1.0, 2.0))
     table = tracking_table([_measured(old), _measured(new)])
     assert "| LiftBox box | 90 of 100 | 2 (5) | 0.1 (0.3) | 1.0 % | 1 | 9 (20) |" in table
-    assert table.count("LiftBox") == 1
+    assert table.count("LiftBox") == 1 and table.startswith(
+        "**Object poses as `rgbd` sees them**, an earlier version\n"
+    )
+    other = {**_TRACKED, "task": "PressCube", "object": "cube", "stamp": stamp("PressCube")}
+    table = tracking_table([_measured(new), _measured(other)])
+    assert "| LiftBox box, an earlier version |" in table and "| PressCube cube |" in table and "them**\n" in table
 
 
 def test_fits_are_shown_and_other_lines_of_their_file_are_not() -> None:
