@@ -111,7 +111,7 @@ def age(line: Stamped) -> str:
 
 
 def measured_age(line: Measurement) -> str:
-    """Return what stands behind a measurement of a task that generation has changed since, or may have, else nothing."""
+    """Return what stands behind a measurement whose task generation has changed since, or may have, else nothing."""
     return "" if line.get("stamp") == stamp(line["task"]) else EARLIER
 
 
