@@ -287,10 +287,10 @@ def _track(hand: str, switches: list[tuple[int, int | None, str]], length: int, 
         last = index == len(switches) - 1
         following = None if last else switches[index + 1]
         stop = length if following is None else (release if release is not None else following[0])
-        if touch > start:
-            segments.append(Segment(hand=hand, kind="object", start=start, stop=touch, object=name))
         begin = max(touch, start)
-        if stop > begin:
+        if stop > begin:  # else it takes the next object in the same tick, and comes to that one
+            if touch > start:
+                segments.append(Segment(hand=hand, kind="object", start=start, stop=touch, object=name))
             segments.append(
                 Segment(hand=hand, kind="proprioception", start=begin, stop=stop, object=name, anchor=anchor)
             )

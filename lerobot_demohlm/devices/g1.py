@@ -76,13 +76,14 @@ class DemoHLMG1(Robot):
             from lerobot_demohlm.devices.dds import DdsRobot  # needs the extra g1
 
             self._world = DdsRobot(config, self.task)
-            live.set_current(self._world.mirror)
+            shown = self._world.mirror
         else:
             by_clock = config.pace == "clock"
             self._world = live.LiveWorld(self.task, config.region, config.seed, config.spread, by_clock=by_clock)
-            live.set_current(self._world)
+            shown = self._world
+        live.set_current(shown)
         self._last = command.rest()
-        self._unhook = _on_new_episode(self.reset)
+        self._unhook = _follow_episodes(shown, self.reset)
 
     def calibrate(self) -> None:
         """Do nothing: there is nothing to calibrate."""
@@ -156,21 +157,23 @@ def _column(name: str) -> int | None:
     return command.NAMES.index(plain) if plain in command.NAMES and command.NAMES.index(plain) in columns else None
 
 
-def _on_new_episode(begin: Callable[[], None]) -> Callable[[], None]:
+def _follow_episodes(shown: live.Operated, begin: Callable[[], None]) -> Callable[[], None]:
     """Have something done whenever a dataset of this process has stored an episode or dropped it; returns the undoing.
 
     LeRobot tells a robot nothing of episodes; the world must begin anew between the last frame of one and the first of
-    the next.
+    the next, and nowhere else: ``shown`` is told whether there are frames.
     """
     from lerobot.datasets import LeRobotDataset
 
-    originals = {name: getattr(LeRobotDataset, name) for name in ("save_episode", "clear_episode_buffer")}
+    originals = {name: getattr(LeRobotDataset, name) for name in ("add_frame", "save_episode", "clear_episode_buffer")}
 
     def followed(original: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(original)
         def call(*arguments: Any, **options: Any) -> Any:  # noqa: ANN401
             result = original(*arguments, **options)
-            begin()
+            shown.recorded = original is originals["add_frame"]
+            if not shown.recorded:
+                begin()
             return result
 
         return call

@@ -53,6 +53,8 @@ class Operated(Protocol):
     sim: Simulation
     pace: RealTimeWorld
     seen: Seen
+    recorded: bool
+    """Whether a dataset of LeRobot's holds frames of the present episode, which it has not stored yet."""
 
     def reset(self) -> Seen:
         """Begin the next episode."""
@@ -74,11 +76,13 @@ class LiveWorld:
         sim: The world; only its own thread may step it.
         pace: What holds it to the clock.
         seen: The world after the last step.
+        recorded: See ``Operated``.
     """
 
     def __init__(self, task: Task, region: str, seed: int, spread: float, *, by_clock: bool) -> None:
         self.task, self.sim = task, Simulation(task)
         self.pace = RealTimeWorld(self.sim)
+        self.recorded = False
         self._region, self._seed, self._spread, self._by_clock = region, seed, spread, by_clock
         self._lock = threading.RLock()
         self._wanted, self._sent_at = command.rest(), -np.inf

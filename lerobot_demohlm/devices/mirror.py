@@ -40,11 +40,13 @@ class Mirror:
         sim: The scene; only its own thread may change it.
         pace: What shows its ticks.
         seen: The robot after the last step of 0.1 s. ``success`` is never true: nobody measures it.
+        recorded: See ``live.Operated``.
     """
 
     def __init__(self, task: Task, read: Callable[[str], Reading | None]) -> None:
         self.task, self.sim, self._read = task, Simulation(task), read
         self.pace = RealTimeWorld(self.sim)
+        self.recorded = False
         self._episode, self._step, self._new = -1, 0, True
         self._lock, self._stop = threading.Lock(), threading.Event()
         self.reset()

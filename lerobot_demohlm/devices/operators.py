@@ -15,6 +15,7 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
 from gym_demohlm.envs import observation
+from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.devices import live
 from lerobot_demohlm.devices.config_operators import (
@@ -221,10 +222,16 @@ class _Stage:
         """Begin anew at the next start, for ``discard``.
 
         Raises:
-            SessionError: Another button.
+            SessionError: Another button, or LeRobot's episode has begun: two motions would be in it.
         """
         if button != "discard":
             raise SessionError(f"{button!r} while LeRobot records", "discard", "use LeRobot's keys at the terminal")
+        if self.world.recorded:
+            raise SessionError(
+                "'discard' within LeRobot's episode",
+                "it between two episodes",
+                "use LeRobot's left arrow, which records the episode again",
+            )
         self.world.reset()
 
     def advance(self, controls: Controls) -> None:
@@ -238,6 +245,7 @@ class _Stage:
             paused=False,
             tick=seen.step,
             engaged=self.clutch.engaged,
+            grippers=self.clutch.grippers,
             success=seen.success,
             held_s=0.0,
             fallen=False,
@@ -258,7 +266,7 @@ class _Stage:
     def _serve(self) -> None:
         try:
             self.server.run()
-        except OSError as error:
+        except (DemoHLMError, OSError) as error:
             print(json.dumps({"event": "error", "message": str(error)}), flush=True)
 
     def _wait(self) -> None:

@@ -179,11 +179,23 @@ class Clutch:
         left, right = (clutch.engaged or led for clutch, led in zip(self._hands, self._led, strict=True))
         return left, right
 
+    @property
+    def grippers(self) -> tuple[float, float]:
+        """What is asked of the left and the right gripper, 0 open .. 1 closed."""
+        left, right = self._grippers.tolist()
+        return left, right
+
+    @property
+    def squat(self) -> float:
+        """How far the buttons have moved the head [m], 0 or less."""
+        return self._squat
+
     def reset(
         self,
         T_world_hands: np.ndarray | None = None,
         grippers: np.ndarray | None = None,
         T_world_head: np.ndarray | None = None,
+        squat: float = 0.0,
     ) -> None:
         """Let go of everything and hold these targets, as after going back in time.
 
@@ -191,6 +203,7 @@ class Clutch:
             T_world_hands: (2, 4, 4); where the palms are measured next, if not given.
             grippers: (2,) 0 open .. 1 closed; open if not given.
             T_world_head: (4, 4); None leaves the torso to the hands.
+            squat: How far the buttons have moved that head [m], 0 or less.
         """
         for clutch in (*self._hands, self._head):
             clutch.release()
@@ -198,7 +211,8 @@ class Clutch:
         self._targets = None if T_world_hands is None else T_world_hands.copy()
         self._grippers = np.zeros(2) if grippers is None else np.array(grippers, dtype=np.float64)
         self._head_target = None if T_world_head is None else T_world_head.copy()
-        self._squat, self._grip_live, self._base, self._settling = 0.0, [False, False], None, 0
+        self._squat = float(np.clip(squat, DEEPEST_SQUAT, 0.0))
+        self._grip_live, self._base, self._settling = [False, False], None, 0
 
     def poses(self, controls: Controls, view: SceneView) -> OperatorPoses:
         """Return what the robot should do in this step of 0.1 s.

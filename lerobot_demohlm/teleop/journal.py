@@ -9,6 +9,7 @@ handed to the system at once, which keeps it when the process is killed; waiting
 import itertools
 import json
 import shutil
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -115,9 +116,12 @@ class Journal:
         try:
             with np.load(self.directory / "start.npz", allow_pickle=False) as arrays:
                 contents = {name: arrays[name] for name in arrays.files}
+            last = contents["last"]
             facts = json.loads((self.directory / "start.json").read_text())
+            if not isinstance(facts, dict) or "start" not in facts:
+                raise ValueError("start.json has no start")
             content = (self.directory / "rows.bin").read_bytes()
-        except (OSError, ValueError, EOFError) as error:
+        except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DemonstrationError(
                 f"{self.directory}, damaged ({error})", "an unfinished recording", "remove it"
             ) from error
@@ -126,7 +130,7 @@ class Journal:
             return None
         return Found(
             start={name.removeprefix("s."): array for name, array in contents.items() if name.startswith("s.")},
-            last=contents["last"],
+            last=last,
             facts=facts,
             actions=rows["action"].copy(),
             hand_targets=rows["hands"].copy(),

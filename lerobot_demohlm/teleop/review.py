@@ -93,6 +93,8 @@ def _stance(row: dict[str, Any]) -> list[float]:
 
 def last_held(success: np.ndarray) -> int | None:
     """Return the last row behind ten (1 s) that all succeeded, of (T,) bool; None where there are none."""
+    if len(success) < HOLD_STEPS:
+        return None
     sums = np.convolve(success.astype(np.int64), np.ones(HOLD_STEPS, dtype=np.int64), "valid")
     held = np.flatnonzero(sums == HOLD_STEPS)
     return int(held[-1]) + HOLD_STEPS if len(held) else None

@@ -166,7 +166,7 @@ class RecordingSession:
 
     @property
     def recorded(self) -> Demonstration | None:
-        """What would be saved, in review; None elsewhere, or where it cannot be."""
+        """What would be saved, in review, or was; None elsewhere, or where it cannot be."""
         return None if self._review is None or self._review.refusal else self._review.demonstration
 
     def view(self) -> SceneView:
@@ -202,6 +202,7 @@ class RecordingSession:
         if self.state != RECORDING:
             return
         row = self.recorder.rows[-1]
+        row["squat"] = self.clutch.squat
         self.journal.append(row["action"], row["hand_targets"], row["head_target"])
         if len(self.recorder) % SEGMENTS_EVERY == 0:
             self._segments = self._cut()
@@ -222,6 +223,7 @@ class RecordingSession:
             paused=self.paused,
             tick=len(self.recorder),
             engaged=self.clutch.engaged,
+            grippers=self.clutch.grippers,
             success=self._held > 0,
             held_s=round(self.held_s, 1),
             fallen=bool(self.sim.fallen()[0]),
@@ -243,13 +245,13 @@ class RecordingSession:
     # Transitions
 
     def _begin(self) -> None:
-        self.recorder.begin()
-        self._segments, self.state, self.message = [], RECORDING, "recording"
         if self.found is not None:
             _log.warning("the unfinished recording of %d steps is dropped", len(self.found.actions))
             self.found = None
         facts = {**self._replayed_by, "start": self.start, "operator": self.settings.operator}
         self.journal.begin(self.sim.snapshot(), self.recorder.last, facts)
+        self.recorder.begin()
+        self._segments, self.state, self.message = [], RECORDING, "recording"
 
     def _stop(self) -> None:
         self.state, self._waiting = REVIEW, False
@@ -307,7 +309,7 @@ class RecordingSession:
                 "attempts": report.done,
                 "successes": report.successes,
                 "reasons": [list(entry) for entry in report.reasons],
-            }
+            } | ({"error": report.error} if report.error else {})
         self._end_trial()
         review.demonstration.save(self.root, self.task)
         self.journal.remove()
@@ -323,6 +325,8 @@ class RecordingSession:
         for action, numbers, head in zip(found.actions, found.hand_targets, found.head_targets, strict=True):
             self._asked = _asked(action, numbers, head)
             self.recorder.apply(action.astype(np.float64), self._asked)
+            lowered = float(action[command.HEIGHT] - command.rest()[command.HEIGHT])
+            self.recorder.rows[-1]["squat"] = 0.0 if self._asked.T_world_head is None else lowered
         self.journal.reopen(len(self.recorder))
         self._held = _trailing([row["success"] for row in self.recorder.rows])
         self._let_go()
@@ -363,7 +367,7 @@ class RecordingSession:
         rows = self.recorder.rows
         if rows:
             asked = _asked(rows[-1]["action"], rows[-1]["hand_targets"], rows[-1]["head_target"])
-            self.clutch.reset(asked.T_world_hands, asked.grippers, asked.T_world_head)
+            self.clutch.reset(asked.T_world_hands, asked.grippers, asked.T_world_head, rows[-1]["squat"])
         else:
             self.clutch.reset()
 

@@ -33,6 +33,7 @@ class Status:
         paused: Whether the world stands still.
         tick: Steps recorded.
         engaged: Whether the left and the right palm follow a device.
+        grippers: What is asked of the left and the right gripper, 0 open .. 1 closed.
         success: Whether the task's condition holds.
         held_s: How long it has held [s].
         fallen: Whether the robot has fallen.
@@ -49,6 +50,7 @@ class Status:
     paused: bool
     tick: int
     engaged: tuple[bool, bool]
+    grippers: tuple[float, float]
     success: bool
     held_s: float
     fallen: bool

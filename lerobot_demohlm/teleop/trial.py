@@ -49,6 +49,7 @@ class TrialReport:
         successes: Of these.
         reasons: Reason of failure and how often, the most frequent first.
         error: What kept the trial from being made; empty where nothing did.
+        died: Whether that is the end of its process, which says nothing of the demonstration.
     """
 
     attempts: int
@@ -56,6 +57,7 @@ class TrialReport:
     successes: int
     reasons: tuple[tuple[str, int], ...] = ()
     error: str = ""
+    died: bool = False
 
     @property
     def finished(self) -> bool:
@@ -65,7 +67,8 @@ class TrialReport:
     @property
     def hopeless(self) -> bool:
         """Whether nothing can be generated from the demonstration."""
-        return bool(self.error) or (self.finished and self.done >= MIN_TRIED and self.successes == 0)
+        none_succeeded = self.finished and self.done >= MIN_TRIED and self.successes == 0
+        return not self.died and (bool(self.error) or none_succeeded)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +99,7 @@ class Trial:
     def __post_init__(self) -> None:
         """Start the process."""
         self._outcomes: list[tuple[str, str]] = []
-        self._error = ""
+        self._error, self._died = "", False
         job = _Job(
             module=self.task.module,
             task=self.task.name,
@@ -133,6 +136,7 @@ class Trial:
         done = len(self._outcomes)
         if ended and done < self.settings.attempts and not self._error:
             self._process.join(1.0)
+            self._died = True
             self._error = f"the process of the trial ended with exit code {self._process.exitcode}"
         failed = Counter(reason for outcome, reason in self._outcomes if outcome != "success")
         return TrialReport(
@@ -141,6 +145,7 @@ class Trial:
             successes=sum(outcome == "success" for outcome, _ in self._outcomes),
             reasons=tuple(failed.most_common(5)),
             error=self._error,
+            died=self._died,
         )
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from lerobot_demohlm.teleop.record import script_of
 from lerobot_demohlm.teleop.session import RecordingSession, SessionSettings
 from lerobot_demohlm.teleop.status import SAVED
 from lerobot_demohlm.teleop.trial import TrialSettings
-from lerobot_demohlm.teleop.web.server import TeleopServer
+from lerobot_demohlm.teleop.web.server import TeleopServer, require_port
 
 SWITCH_S = 0.001  # the world's thread and that of the browsers take turns this often
 
@@ -54,14 +54,15 @@ def operators_place(task: Task, seed: int | None = None, region: str = "R1", spr
 
 
 def record_in_browser(task: Task, root: Path, settings: WebSettings | None = None) -> int:
-    """Serve the page until a demonstration is saved; returns its number of steps.
+    """Serve the page until a demonstration is saved; returns the number of its steps.
 
     The address is printed as one line of JSON.
 
     Raises:
-        DemonstrationError: The root exists, or nothing was saved.
+        DemonstrationError: The root exists, nobody can listen at the port, or nothing was saved.
     """
     settings = settings or WebSettings()
+    require_port(settings.host, settings.port)
     session = RecordingSession(task, root, operators_place(task), settings=settings.session)
     sys.setswitchinterval(SWITCH_S)
     server = TeleopServer(session, settings.host, settings.port, lambda line: print(line, flush=True))
@@ -71,10 +72,11 @@ def record_in_browser(task: Task, root: Path, settings: WebSettings | None = Non
         print("stopped; a recording under way can be taken up by the same command", file=sys.stderr)
     finally:
         session.close()
-    if session.state != SAVED:
+    saved = session.recorded
+    if session.state != SAVED or saved is None:
         raise DemonstrationError("no demonstration", "one that was saved", "record one and press save")
     print(json.dumps({"event": "saved", "root": str(root)}), flush=True)
-    return len(session.recorder)
+    return len(saved)
 
 
 def trial_settings(attempts: int) -> TrialSettings | None:

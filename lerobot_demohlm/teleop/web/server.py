@@ -14,7 +14,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 from aiohttp import WSMsgType, web
 
-from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.errors import DemoHLMError, DemonstrationError
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 from lerobot_demohlm.demonstrations.demonstration import pose_numbers
@@ -195,7 +195,9 @@ class TeleopServer:
     def _press(self, client: _Client, button: str) -> None:
         try:
             self.session.press(button)
-        except DemoHLMError as error:
+        except (DemoHLMError, OSError) as error:
+            if isinstance(error, OSError):
+                error = DemonstrationError(str(error), "a folder that can be written", "make room, then press again")
             _log.info("%s: %s", button, error)
             self._send(client, {"type": "error", "message": str(error)})
         if self._other is None:
@@ -274,7 +276,8 @@ class TeleopServer:
         await runner.setup()
         context, fingerprint = (None, None) if self.host in LOCAL else make_context(_addresses(self.host))
         site = web.TCPSite(runner, self.host, self.port, ssl_context=context)
-        await site.start()
+        with _port_in_errors(self.host, self.port):
+            await site.start()
         assert site._server is not None
         self.port = runner.addresses[0][1]
         self._announce(json.dumps(self._addresses("serving") | {"certificate_sha256": fingerprint}))
@@ -302,18 +305,16 @@ class TeleopServer:
     def _admit(self, request: web.Request) -> tuple[str | None, str | None]:
         """Return the role of a request and the cookie to set, if any; an operator's token admits one browser."""
         cookie = request.cookies.get(self._cookie_name, "")
-        for known, role in self._cookies.items():
-            if _equal(known, cookie):
-                return role, None
+        admitted = next((role for known, role in self._cookies.items() if _equal(known, cookie)), None)
         token = request.query.get("token", "")
         for known, role in list(self._tokens.items()):
-            if _equal(known, token):
+            if _equal(known, token) and (admitted is None or (admitted, role) == ("spectator", "operator")):
                 if role == "operator":
                     del self._tokens[known]
                 new = secrets.token_urlsafe(24)
                 self._cookies[new] = role
                 return role, new
-        return None, None
+        return admitted, None
 
     @property
     def _cookie_name(self) -> str:
@@ -423,6 +424,33 @@ class TeleopServer:
         if client.refused <= 5 or client.refused % 50 == 0:
             _log.warning("refused a message (%d of this browser): %s", client.refused, why)
         client.tell(json.dumps({"type": "error", "message": why}))
+
+
+def require_port(host: str, port: int) -> None:
+    """Look whether a port can be listened at, before a robot walks to its place.
+
+    Raises:
+        DemonstrationError: It cannot.
+    """
+
+    async def listen() -> None:
+        (await asyncio.get_running_loop().create_server(asyncio.Protocol, host, port)).close()
+
+    with _port_in_errors(host, port):
+        asyncio.run(listen())
+
+
+@contextlib.contextmanager
+def _port_in_errors(host: str, port: int) -> Iterator[None]:
+    """Have errors of listening name the port and its option."""
+    try:
+        yield
+    except OSError as error:
+        raise DemonstrationError(
+            f"port {port} of {host}, at which nobody can listen ({error.strerror or error})",
+            "one that is free",
+            "choose another --port (with lerobot, --teleop.port), or 0 for any",
+        ) from error
 
 
 def _addresses(host: str) -> list[str]:

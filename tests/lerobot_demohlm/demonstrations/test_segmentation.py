@@ -277,6 +277,23 @@ def test_what_an_open_gripper_brushes_against_it_has_not_taken(touches: list[tup
     assert right == [("object", 0), ("proprioception", 30)]
 
 
+def test_a_gripper_that_closes_on_two_things_follows_one_of_them_at_any_tick() -> None:
+    """Both touches are brought forward to the closing, and the first thing is never let go."""
+    demonstration, task = gripping(48, 80)
+    other = dataclasses.replace(task.objects[0], name="other")
+    pairs = (("right", "cube"), ("right", "other"))
+    task = dataclasses.replace(task, objects=(*task.objects, other), contact_pairs=pairs)
+    pressed = np.zeros((len(demonstration), 2))
+    pressed[50:, 0] = pressed[52:, 1] = 10.0
+    poses = np.repeat(demonstration.object_poses[:, :1], 2, axis=1)
+    both = dataclasses.replace(demonstration, contact_forces=pressed, object_poses=poses)
+    right = [entry for entry in segmentation.segment(both, task) if entry.hand == "right"]
+    assert [(entry.kind, entry.start, entry.stop, entry.object) for entry in right] == [
+        ("object", 0, 48, "other"),
+        ("proprioception", 48, len(demonstration), "other"),
+    ]
+
+
 def test_an_open_gripper_that_never_closes_takes_by_touching() -> None:
     demonstration, task = gripping(0, 0, right=[(12, 20), (40, 80)])
     right = [(entry.kind, entry.start) for entry in segmentation.segment(demonstration, task) if entry.hand == "right"]

@@ -1,10 +1,13 @@
 """LeRobot's interfaces: the robot, what its actions mean, its starts, and a scripted operator that does the task."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDataset
 from lerobot.robots import make_robot_from_config
 from lerobot.robots.config import RobotConfig
 from lerobot.teleoperators import make_teleoperator_from_config
@@ -17,6 +20,8 @@ from gym_demohlm.errors import UnknownNameError
 from lerobot_demohlm.devices import DemoHLMG1Config, DemoHLMScriptConfig, DemoHLMWebConfig, live
 from lerobot_demohlm.devices.config_g1 import DeviceError
 from lerobot_demohlm.devices.g1 import DemoHLMG1
+from lerobot_demohlm.devices.operators import DemoHLMWeb
+from lerobot_demohlm.teleop.session import SessionError
 from tests.helpers.teleop import wait_for
 
 
@@ -119,4 +124,33 @@ def test_the_page_is_served_once_there_is_a_world(
     assert not any(action[name] for name in command.NAMES[:3])
     printed: list[str] = []
     wait_for(lambda: printed.append(capsys.readouterr().out) or "serving" in "".join(printed))
+    served = json.loads("".join(printed))["operator"]
+    second = make_teleoperator_from_config(DemoHLMWebConfig(port=urlsplit(served).port, calibration_dir=tmp_path))
+    second.connect()
+    second.get_action()
+    wait_for(lambda: printed.append(capsys.readouterr().out) or "--teleop.port" in "".join(printed))
+    second.disconnect()
+    operator.disconnect()
+
+
+def test_the_page_does_not_begin_anew_within_an_episode(robot: DemoHLMG1, tmp_path: Path) -> None:
+    """LeRobot would store the end of one motion and the whole of another as one episode."""
+    operator = DemoHLMWeb(DemoHLMWebConfig(port=0, calibration_dir=tmp_path))
+    operator.connect()
+    robot.send_action(operator.get_action())
+    world, page = live.current(), operator._stage
+    assert world is not None and page is not None
+    features = {"action": {"dtype": "float32", "shape": (1,), "names": None}}
+    dataset = LeRobotDataset.create("local/test", 10, features, root=tmp_path / "data", use_videos=False)
+    page.press("discard")
+    dataset.add_frame({"action": np.zeros(1, dtype=np.float32), "task": "lift"})
+    robot.send_action(operator.get_action())
+    begun = world.seen
+    with pytest.raises(SessionError, match="left arrow"):
+        page.press("discard")
+    assert world.seen is begun
+    dataset.clear_episode_buffer()
+    assert world.seen.episode == begun.episode + 1
+    page.press("discard")
+    assert world.seen.episode == begun.episode + 2
     operator.disconnect()

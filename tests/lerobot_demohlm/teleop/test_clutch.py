@@ -179,3 +179,14 @@ def test_buttons_squat_and_rise() -> None:
     for _ in range(12):
         up = clutch.poses(Controls(lift=1.0), view())
     assert up.T_world_head is None
+
+
+def test_a_robot_that_squats_after_going_back_rises_step_by_step() -> None:
+    clutch = Clutch()
+    for _ in range(10):
+        down = clutch.poses(Controls(lift=-1.0), view())
+    assert down.T_world_head is not None and clutch.squat == pytest.approx(-0.2)
+    clutch.reset(down.T_world_hands, down.grippers, down.T_world_head, clutch.squat)
+    up = clutch.poses(Controls(lift=1.0), view())
+    assert up.T_world_head is not None
+    assert up.T_world_head[2, 3] - down.T_world_head[2, 3] == pytest.approx(0.02)

@@ -18,6 +18,7 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.replay import replay
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.teleop.clutch import Controls, HandControls
+from lerobot_demohlm.teleop.journal import Journal
 from lerobot_demohlm.teleop.operator import OperatorPoses
 from lerobot_demohlm.teleop.record import script_of
 from lerobot_demohlm.teleop.review import last_held
@@ -148,7 +149,14 @@ def test_a_recording_that_nothing_can_be_generated_from_is_refused_with_the_reas
     session._review.report = TrialReport(attempts=20, done=20, successes=0, reasons=(("dropped: too wide", 20),))
     with pytest.raises(DemonstrationError, match=r"none of 20 attempts .* dropped: too wide"):
         session.press("save")
+    session._review.report = TrialReport(attempts=20, done=0, successes=0, error="the palms are too far apart")
+    with pytest.raises(DemonstrationError, match="too far apart"):
+        session.press("save")
     assert session.status().state == "review" and not (tmp_path / "lift").exists()
+    # A process that was ended from outside says nothing of the demonstration.
+    session._review.report = TrialReport(attempts=20, done=6, successes=0, error="ended with exit code -9", died=True)
+    session.press("save")
+    assert demonstrations.load(tmp_path / "lift", TASK).metadata["trial"]["error"] == "ended with exit code -9"
     session.close()
 
 
@@ -184,9 +192,32 @@ def test_buttons_that_do_nothing_and_recordings_that_cannot_be_saved(tmp_path: P
         session.press("save")
     session.press("rewind")
     assert (session.status().state, session.status().tick) == ("recording", 0)
+    session.press("record")  # there is no row
+    assert "no hand touches anything" in session.status().verdict.refusal  # type: ignore[union-attr]
     session.press("discard")
     assert session.status().state == "idle"
     assert not (tmp_path / "none").exists()
+    session.close()
+
+
+def test_a_robot_that_squats_stays_down_when_it_goes_back_and_when_it_is_taken_up(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "squat")
+    session.press("record")
+    for _ in range(10):
+        session.advance(Controls(lift=-1.0))
+    lowered = session.clutch.squat
+    for _ in range(REWIND_TICKS):
+        session.advance(Controls())
+    session.press("rewind")
+    assert session.clutch.squat == lowered == pytest.approx(-0.2)
+    session.advance(Controls())
+    session.advance(Controls(lift=1.0))
+    head = session.recorder.rows[-1]["head_target"]
+    assert head is not None and head[2, 3] - session.recorder.rows[-2]["head_target"][2, 3] == pytest.approx(0.02)
+    session.close()
+    session = make_session(tmp_path / "squat")
+    session.press("recover")
+    assert lowered - 0.1 < session.clutch.squat < 0.5 * lowered
     session.close()
 
 
@@ -206,7 +237,28 @@ def test_a_demonstration_begins_after_the_walk_and_before_the_motion(tmp_path: P
     session.close()
 
 
+@pytest.mark.parametrize("damage", ["half", "no command", "no start", "no facts"])
+def test_a_damaged_recording_is_said_to_be(tmp_path: Path, damage: str) -> None:
+    journal = Journal(tmp_path / "lift.unfinished")
+    last = np.zeros(command.SIZE)
+    journal.begin({"physics": np.zeros(100)}, last, {"start": {}})
+    journal.append(last, np.zeros((2, 7)), None)
+    journal.close()
+    assert journal.find() is not None
+    arrays, facts = journal.directory / "start.npz", journal.directory / "start.json"
+    if damage == "half":
+        arrays.write_bytes(arrays.read_bytes()[: arrays.stat().st_size // 2])
+    elif damage == "no command":
+        np.savez(arrays, allow_pickle=False, physics=np.zeros(100))
+    else:
+        facts.write_text("{}" if damage == "no start" else "[]")
+    with pytest.raises(DemonstrationError, match="damaged"):
+        journal.find()
+
+
 def test_last_held() -> None:
+    assert last_held(np.zeros(0, dtype=bool)) is None
+    assert last_held(np.ones(HOLD_STEPS - 1, dtype=bool)) is None
     success = np.zeros(30, dtype=bool)
     assert last_held(success) is None
     success[5 : 5 + HOLD_STEPS] = True
@@ -242,5 +294,5 @@ def test_a_trial_whose_process_dies_says_so_and_leaves_the_environment(
     until = time.monotonic() + 60.0
     while not (report := trial.report()).finished and time.monotonic() < until:
         time.sleep(0.01)
-    assert "exit code -9" in report.error and report.hopeless
+    assert "exit code -9" in report.error and report.died and not report.hopeless
     trial.close()

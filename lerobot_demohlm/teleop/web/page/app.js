@@ -48,7 +48,7 @@ function hear(message) {
     $("enter-vr").textContent = app.role === "operator" ? "Enter VR" : "Watch in VR";
   } else if (message.type === "status") {
     app.status = message;
-    controls.steps++;
+    controls.heed(message);
     scene.engaged = message.engaged;
     scene.colors = message.colors;
     render(message);
@@ -112,6 +112,7 @@ function render(s) {
   $("discard").disabled = s.state === "saved";
   $("recover").hidden = s.unfinished === 0;
   show("recover", `Take up ${(s.unfinished / 10).toFixed(0)} s unfinished`);
+  document.querySelector("[data-grip]").classList.toggle("on", Boolean(controls.grips.left || controls.grips.right));
   if (!(app.errorUntil > performance.now())) show("message", words(s));
   list("warnings", s.warnings, (text) => element("li", text));
   forces(s.forces);

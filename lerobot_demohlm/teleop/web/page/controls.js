@@ -23,6 +23,7 @@ const KEY_WALK = { KeyW: [0, 1], KeyS: [0, -1], KeyA: [1, 1], KeyD: [1, -1], Key
 const KEY_BUTTONS = { Enter: "record", NumpadEnter: "record", Backspace: "rewind", KeyM: "save", Delete: "discard" };
 const SIDES = ["left", "right"];
 const CURLED_M = 0.10;  // from wrist to fingertip
+const GRIP_STEPS = 3;  // of the world, at least two of them whole: it looks ten times a second
 const PINCHED_M = [0.015, 0.06];  // between thumb and index: closed, open
 
 const unit = (x) => Math.max(-1, Math.min(1, x));
@@ -33,14 +34,19 @@ export class Controls {
     this.state = state;  // () -> the session's state
     this.keys = new Set();
     this.chosen = { left: false, right: true };
-    this.grips = { left: 0, right: 0 };
-    this.touch = { sticks: { left: [0, 0], right: [0, 0] }, hold: { left: false, right: false }, grip: false, tilt: false, lift: 0 };
+    this.grips = { left: 0, right: 0 };  // where Space and the grip button want the grippers
+    this.grippers = { left: 0, right: 0 };  // where they are
+    this.wished = new Set();  // sides for which these were pressed, and that have not been held since
+    this.held = { left: false, right: false };  // by the last message
+    this.freeAt = { left: 0, right: 0 };  // step at which they were not
+    this.touch = { sticks: { left: [0, 0], right: [0, 0] }, hold: { left: false, right: false }, tilt: false, lift: 0 };
     this.drag = null;
     this.orientation = null;
     this.device = "keyboard";
     this.pads = {};
     this.steps = 0;  // of the world, that the page was told of
-    this.gripUntil = 0;  // step until which a gripper's key counts: the world looks ten times a second
+    this.tick = 0;  // of the recording
+    this.gripUntil = 0;  // step until which a gripper's key counts
     this.tracked = new Set();  // sides whose controllers have been seen by the headset's cameras
     this.sequence = 0;
     this.xr = null;  // set by the session of WebXR at each of its frames
@@ -61,9 +67,10 @@ export class Controls {
       this.device = "keyboard";
       if (e.code in KEY_BUTTONS) this.press(KEY_BUTTONS[e.code]);
       else if (e.code.startsWith("Digit")) this.chosen = { left: e.code !== "Digit2", right: e.code !== "Digit1" };
-      else if (e.code === "Space") for (const side of SIDES) { if (this.chosen[side]) this.grips[side] = 1 - this.grips[side]; }
-      else this.keys.add(e.code);
-      if (e.code === "Space") this.gripUntil = this.steps + 4;
+      else if (e.code === "Space") {
+        for (const side of SIDES) { if (this.chosen[side]) this.want(side, 1 - this.grips[side]); }
+        this.gripUntil = this.steps + 2 * GRIP_STEPS;
+      } else this.keys.add(e.code);
     });
     addEventListener("keyup", (e) => this.keys.delete(e.code));
     addEventListener("blur", () => { this.keys.clear(); this.drag = null; });
@@ -133,14 +140,39 @@ export class Controls {
     for (const button of root.querySelectorAll("[data-lift]")) {
       hold(button, () => { this.touch.lift = Number(button.dataset.lift); }, () => { this.touch.lift = 0; });
     }
-    for (const [name, button] of [["grip", root.querySelector("[data-grip]")], ["tilt", root.querySelector("[data-tilt]")]]) {
-      button.addEventListener("click", async () => {
-        this.touch[name] = !this.touch[name];
-        button.classList.toggle("on", this.touch[name]);
-        const ask = window.DeviceOrientationEvent && DeviceOrientationEvent.requestPermission;
-        if (name === "tilt" && ask) await ask.call(DeviceOrientationEvent).catch(() => {});
-      });
-    }
+    root.querySelector("[data-grip]").addEventListener("click", () => {
+      const held = SIDES.filter((side) => this.held[side]), sides = held.length ? held : SIDES;
+      const grip = sides.some((side) => this.grips[side]) ? 0 : 1;
+      for (const side of sides) this.want(side, grip);
+    });
+    const tilt = root.querySelector("[data-tilt]");
+    tilt.addEventListener("click", async () => {
+      this.touch.tilt = !this.touch.tilt;
+      tilt.classList.toggle("on", this.touch.tilt);
+      const ask = window.DeviceOrientationEvent && DeviceOrientationEvent.requestPermission;
+      if (ask) await ask.call(DeviceOrientationEvent).catch(() => {});
+    });
+  }
+
+  // Grippers of keys and touch
+
+  want(side, grip) {
+    this.grips[side] = grip;
+    this.wished.add(side);
+  }
+
+  heed(status) {  // a gripper that a rewind has opened stays open when its hand is held next
+    this.steps++;
+    if (status.tick < this.tick) this.wished.clear();
+    this.tick = status.tick;
+    SIDES.forEach((side, i) => {
+      this.grippers[side] = status.grippers[i];
+      if (!this.held[side] && !this.wished.has(side)) this.grips[side] = Math.round(status.grippers[i]);
+    });
+  }
+
+  grip(side) {  // a hand takes hold of its gripper as it is, and only then moves it
+    return this.steps < this.freeAt[side] + GRIP_STEPS ? this.grippers[side] : this.grips[side];
   }
 
   // One message
@@ -161,6 +193,11 @@ export class Controls {
         if (pad && pad.connected && pad.mapping === "standard") lift += this.readPad(hands, walk, pad);
       }
     }
+    for (const side of SIDES) {
+      this.held[side] = hands[side].engaged;
+      if (this.held[side]) this.wished.delete(side);
+      else this.freeAt[side] = this.steps;
+    }
     return { type: "input", seq: this.sequence++, t: now, device: this.device, head, lean: this.headMoves(), hands,
       walk: walk.map(unit), lift: unit(lift) };
   }
@@ -175,7 +212,7 @@ export class Controls {
     const moving = rate.some((v) => v) || closer || this.steps < this.gripUntil;
     for (const [side, inward] of [["left", -1], ["right", 1]]) {
       if (!this.chosen[side]) continue;
-      hands[side].grip = this.grips[side];
+      hands[side].grip = this.grip(side);
       if (moving) {
         hands[side].engaged = true;
         hands[side].rate = rate.map((v, i) => unit(v + (i === 1 ? closer * inward : 0)));
@@ -190,8 +227,9 @@ export class Controls {
   }
 
   touchPad() {
-    const { sticks, hold, grip, tilt, lift } = this.touch;
-    return { left: sticks.left, right: sticks.right, hold, grips: { left: +grip, right: +grip }, turn: [0, 0, 0], lift,
+    const { sticks, hold, tilt, lift } = this.touch;
+    const grips = { left: this.grip("left"), right: this.grip("right") };
+    return { left: sticks.left, right: sticks.right, hold, grips, turn: [0, 0, 0], lift,
       pose: tilt && this.orientation ? [0, 0, 0, ...fromOrientation(this.orientation)] : null };
   }
 
@@ -248,7 +286,7 @@ export class Controls {
         this.device = "phone";
         for (const side of SIDES) {
           if (!this.chosen[side]) continue;
-          Object.assign(hands[side], { pose: numbers(viewer.transform), engaged: true, grip: +this.touch.grip });
+          Object.assign(hands[side], { pose: numbers(viewer.transform), engaged: true, grip: this.grip(side) });
         }
         continue;
       }
@@ -256,7 +294,8 @@ export class Controls {
       if (!SIDES.includes(side)) continue;
       if (source.hand) {
         this.device = "hands";
-        Object.assign(hands[side], bareHand(frame, source.hand, space));
+        const { engaged, grip } = this.xr ? this.xr.hands[side] : idle();
+        Object.assign(hands[side], bareHand(frame, source.hand, space) || { engaged, grip });  // lost: as it was
         continue;
       }
       const pose = source.gripSpace && frame.getPose(source.gripSpace, space), pad = source.gamepad;
@@ -299,7 +338,7 @@ function numbers(transform) {
 function bareHand(frame, hand, space) {
   const joint = (name) => { const at = hand.get(name); const pose = at && frame.getJointPose(at, space); return pose && pose.transform; };
   const wrist = joint("wrist"), thumb = joint("thumb-tip"), index = joint("index-finger-tip");
-  if (!wrist || !thumb || !index) return { pose: null, engaged: true };
+  if (!wrist || !thumb || !index) return null;
   const apart = (a, b) => Math.hypot(a.position.x - b.position.x, a.position.y - b.position.y, a.position.z - b.position.z);
   const tips = ["middle", "ring", "pinky"].map((finger) => joint(`${finger}-finger-tip`));
   const engaged = tips.every((tip) => tip && apart(tip, wrist) < CURLED_M);

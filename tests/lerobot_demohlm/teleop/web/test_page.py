@@ -75,6 +75,9 @@ def test_keys_move_hands_walk_grip_and_record(served: Served, browser: Any) -> N
         page.keyboard.press("Space")
         page.wait_for_function("demohlm.controls.grips.right === 1")
         wait_for(lambda: served.session.sim.command[0, 22] == 1.0)
+        steps(page, 10)  # the hand is let go
+        page.keyboard.press("Space")
+        wait_for(lambda: served.session.sim.command[0, 22] == 0.0)
         page.keyboard.down("KeyQ")
         wait_for(lambda: served.session.sim.command[0, 2] > 0.4)
         page.keyboard.up("KeyQ")
@@ -89,6 +92,25 @@ def test_keys_move_hands_walk_grip_and_record(served: Served, browser: Any) -> N
             page.wait_for_function("tick => demohlm.status.tick < tick", arg=recorded)
         page.keyboard.press("Delete")
         page.wait_for_function("demohlm.status.state === 'idle'")
+
+
+def test_a_gripper_that_a_rewind_has_opened_stays_open(served: Served, browser: Any) -> None:
+    with opened(browser, served.invite()) as page:
+        page.keyboard.press("Enter")
+        page.wait_for_function("demohlm.status.state === 'recording'")
+        page.click("#show-touch")
+        page.keyboard.press("Space")
+        wait_for(lambda: served.session.sim.command[0, 22] == 1.0)
+        assert page.locator("[data-grip].on").count() == 1
+        while page.evaluate("demohlm.status.grippers[1]") == 1.0 or not page.evaluate("demohlm.status.paused"):
+            page.keyboard.press("Backspace")
+            steps(page, 2)
+        page.wait_for_function("!document.querySelector('[data-grip].on')")
+        page.keyboard.down("ArrowUp")
+        page.wait_for_function("!demohlm.status.paused")
+        steps(page, 5)
+        page.keyboard.up("ArrowUp")
+        assert served.session.sim.command[0, 22] == 0.0
 
 
 @pytest.mark.slow
@@ -137,6 +159,18 @@ def test_touch_sticks_walk(served: Served, browser: Any) -> None:
         wait_for(lambda: served.session.sim.command[0, 0] > 0.3)
         page.mouse.up()
         wait_for(lambda: served.session.sim.command[0, 0] == 0.0)
+        page.evaluate("demohlm.controls.touch.hold.right = true")
+        steps(page, 2)
+        page.click("[data-grip]")
+        wait_for(lambda: served.session.sim.command[0, 22] == 1.0)
+        page.evaluate("demohlm.controls.touch.hold.right = false")
+        steps(page, 2)
+        page.click("[data-grip]")  # counts once the hand is held
+        steps(page, 2)
+        assert served.session.sim.command[0, 22] == 1.0
+        page.evaluate("demohlm.controls.touch.hold.right = true")
+        wait_for(lambda: served.session.sim.command[0, 22] == 0.0)
+        page.evaluate("demohlm.controls.touch.hold.right = false")
 
 
 def test_a_headset_that_is_lost_lets_everything_go(served: Served, browser: Any) -> None:
@@ -148,6 +182,23 @@ def test_a_headset_that_is_lost_lets_everything_go(served: Served, browser: Any)
         )
         assert told["walk"] == [0, 0, 0] and told["lift"] == 0 and told["head"] is None
         assert not any(told["hands"][side]["engaged"] for side in ("left", "right"))
+
+
+def test_a_bare_hand_that_is_lost_stays_as_it_was(served: Served, browser: Any) -> None:
+    with opened(browser, served.invite(), small=True) as page:
+        told = page.evaluate(
+            "() => { const c = demohlm.controls, at = (x) => ({ position: { x, y: 0, z: 0 },"
+            "  orientation: { x: 0, y: 0, z: 0, w: 1 } });"
+            "const hand = new Map(['wrist', 'thumb-tip', 'index-finger-tip', 'middle-finger-tip', 'ring-finger-tip',"
+            "  'pinky-finger-tip'].map((name) => [name, name])), seen = [];"
+            "for (const reach of [null, 0.05, null, 0.2, null]) {"  # of the fingers, from the wrist
+            "  const pose = (name) => reach && { transform: at(name === 'wrist' ? 0 : reach) };"
+            "  c.readXR({ getViewerPose: () => ({ transform: at(0) }), getJointPose: pose }, null,"
+            "    { inputSources: [{ targetRayMode: 'tracked-pointer', handedness: 'right', hand }] });"
+            "  const { pose: p, engaged, grip } = c.xr.hands.right; seen.push([p !== null, engaged, grip]); }"
+            "c.xr = null; return seen; }"
+        )
+        assert told == [[False, False, 0], [True, True, 1], [False, True, 1], [True, False, 1], [False, False, 1]]
 
 
 def test_two_browsers_and_nothing_overlaps(served: Served, browser: Any) -> None:

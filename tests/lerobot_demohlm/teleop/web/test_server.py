@@ -1,6 +1,7 @@
 """The server without a browser: who may do what, and what happens when nobody is there any more."""
 
 import asyncio
+import errno
 import json
 import logging
 import signal
@@ -123,6 +124,39 @@ def test_an_operators_address_admits_one_browser(served: Served) -> None:
             assert answer.status == 200
 
     connected(address, act)
+
+
+def test_a_browser_that_watched_may_become_the_operator(served: Served) -> None:
+    address = served.invite()
+
+    async def act(client: Client) -> None:
+        assert (await client.hear("hello"))["role"] == "spectator"
+        async with client.http.get(address) as answer:
+            assert answer.status == 200
+        for page in (served.addresses["spectator"], base_of(served)):  # and stays it
+            async with client.http.get(page) as answer:
+                assert answer.status == 200
+        async with client.http.ws_connect(base_of(served) + "/ws") as socket:
+            assert (await Client(client.http, socket).hear("hello"))["role"] == "operator"
+        async with aiohttp.ClientSession() as other, other.get(address) as answer:
+            assert answer.status == 403
+
+    connected(served.addresses["spectator"], act)
+
+
+def test_a_full_disk_is_told_and_the_session_goes_on(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(served.session.journal, "begin", full)
+
+    async def act(client: Client) -> None:
+        await client.send(type="press", button="record")
+        assert "No space left on device" in (await client.hear("error"))["message"]
+        assert (await client.hear("status"))["state"] == "idle"
+
+    connected(served.invite(), act)
+    assert served.error is None
 
 
 def test_pages_of_other_sites_cannot_connect(served: Served) -> None:
