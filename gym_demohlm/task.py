@@ -333,6 +333,11 @@ class Task:
         if not self.episode_length_s > 0:
             raise SceneError(f"episode_length_s={self.episode_length_s}", "more than 0 s", "set a time limit")
 
+    @property
+    def form(self) -> str:
+        """The only region that it has, "R4", where it is the wide form, see ``at``; else empty."""
+        return WIDEST if tuple(self.regions) == (WIDEST,) else ""
+
     def at(self, region: str) -> "Task":
         """Return the task as a region has it: itself, or its wide form, which has R4 alone.
 

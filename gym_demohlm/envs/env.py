@@ -3,6 +3,7 @@
 The same code as ``DemoHLMVectorEnv`` with one world, and the same bits.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -137,10 +138,10 @@ class DemoHLMEnv(gym.Env):
             self._window.show(self._episodes.sim.mj_data())
 
 
-def check_render_mode(render_mode: str | None) -> None:
-    """Raise UnknownNameError for a render mode that does not exist."""
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
+def check_render_mode(render_mode: str | None, allowed: Sequence[str] = RENDER_MODES) -> None:
+    """Raise UnknownNameError for a render mode that an environment does not have."""
+    if render_mode is not None and render_mode not in allowed:
+        raise UnknownNameError("render_mode", render_mode, allowed)
 
 
 def first_row(batch: dict[str, Any], row: int = 0) -> dict[str, Any]:

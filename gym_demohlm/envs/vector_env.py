@@ -13,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from gym_demohlm.envs.env import RENDER_MODES, check_render_mode, first_row
+from gym_demohlm.envs.env import check_render_mode, first_row
 from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
 from gym_demohlm.envs.rendering import HEIGHT, WIDTH
 from gym_demohlm.errors import SceneError
@@ -22,6 +22,8 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Controller, Simulation
 from gym_demohlm.task import DEFAULT_REGION, InitialState
 from gym_demohlm.timing import STEP_DT
+
+RENDER_MODES = ("rgb_array",)
 
 
 class DemoHLMVectorEnv(gym.vector.VectorEnv):
@@ -62,7 +64,7 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         image_size: tuple[int, int] = (WIDTH, HEIGHT),
         variation: str = "none",
     ) -> None:
-        check_render_mode(render_mode)
+        check_render_mode(render_mode, RENDER_MODES)
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
             raise SceneError(f"autoreset_mode={autoreset_mode}", "SAME_STEP or DISABLED", "choose one of these")
         definition = get_task(task).at(region)
@@ -99,21 +101,26 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
 
         Args:
             seed: One number s for s, s + 1, ..., or one a world; None keeps a world's random numbers going.
-            options: "region"; "initial_state", one for all worlds or a list with one each; "reset_mask", (N,) bool,
-                which worlds, all by default.
+            options: "region"; "initial_state", one for all worlds, a list with one each, or those of ``infos``;
+                "reset_mask", (N,) bool, which worlds, all by default.
 
         Raises:
-            SceneError: As many seeds or initial states as worlds were expected.
+            SceneError: As many seeds or initial states as worlds were expected, or the mask is no (N,) bool.
         """
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
-        worlds = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise SceneError(f"reset_mask={mask.tolist()}", f"{self.num_envs} of True and False", "give one each")
+        worlds = np.flatnonzero(mask)
         if isinstance(seed, Sequence | np.ndarray):
             seeds = [None if each is None else int(each) for each in seed]
         else:
             seeds = [None if seed is None else seed + world for world in range(self.num_envs)]
         given = options.pop("initial_state", None)
-        states = given if isinstance(given, list | tuple) else [given] * self.num_envs
+        if isinstance(given, dict) and "_robot" in given:
+            given = _unstacked(given)
+        states: Sequence[Any] = given if isinstance(given, list | tuple) else [given] * self.num_envs
         for what, values in (("seeds", seeds), ("initial states", states)):
             if len(values) != self.num_envs:
                 raise SceneError(f"{len(values)} {what}", f"{self.num_envs}, one a world", "give one each")
@@ -163,6 +170,8 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
         value = getattr(self, name)
         if name == "render":
             return self.render()
+        if name == "perception_faults":
+            return tuple(self.perception_faults(world) for world in range(self.num_envs))
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
@@ -196,3 +205,18 @@ class DemoHLMVectorEnv(gym.vector.VectorEnv):
             info = {name: values[world].item() for name, values in facts.items()}
             collected = self._add_info(collected, {**info, "initial_state": state}, world)
         return collected
+
+
+def _unstacked(infos: dict[str, Any]) -> list[InitialState]:
+    """Return the initial states, one a world, of a vector environment's infos; empty ones of worlds without any.
+
+    Raises:
+        SceneError: The arrays are of several lengths, or one has no mask.
+    """
+    keys = [key for key in infos if not key.startswith("_")]
+    if len({len(rows) for rows in infos.values()}) > 1 or any(f"_{key}" not in infos for key in keys):
+        got = f"an initial_state with arrays {sorted(infos)}"
+        raise SceneError(got, "one row a world, and a mask beside each array", "give it as infos has it")
+    return [
+        {key: infos[key][world] for key in keys if infos[f"_{key}"][world]} for world in range(len(infos["_robot"]))
+    ]

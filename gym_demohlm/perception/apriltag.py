@@ -45,6 +45,7 @@ class AprilTagPerceiver(SeeingPerceiver):
         super().__init__(task, num_worlds, mounting_of(settings))
         self._settings, self._finder = settings, TagFinder()
         self._tags: tuple[tuple[Tag, ...], ...] = ()
+        self._plates: list[tuple[str, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def _begin_world(self, eyes: Eyes, row: int) -> None:
         eyes.memory = _Memory([None] * len(self._task.objects))
@@ -53,7 +54,11 @@ class AprilTagPerceiver(SeeingPerceiver):
         model, self._printed = tagged_model(sim.scene)
         self._know({})
         worn = is_tag(model)
-        self._plates, self._places = np.flatnonzero(worn), model.geom_pos[worn].copy()
+        self._plates = []
+        for entry, tags in zip(self._task.objects, self._printed, strict=True):
+            geoms = np.array([model.geom(tag.plate).id for tag in tags])
+            fronts = np.array([tag.T_object_tag[:3, 3] for tag in tags])
+            self._plates.append((entry.name, geoms, model.geom_pos[geoms].copy(), fronts))
         return VisualModel(model, geoms=np.flatnonzero(~worn))
 
     def _wear(self, visual: VisualModel, sim: Simulation, row: int) -> None:
@@ -62,10 +67,9 @@ class AprilTagPerceiver(SeeingPerceiver):
         if not sim.variation:
             return
         conditions = sim.conditions(row)
-        sizes = {name: conditions.number("objects.size", name, plain=1.0) for name in sim.scene.loose}
-        for name, size in sizes.items():
-            own = visual.model.geom_bodyid[self._plates] == visual.model.body(name).id
-            visual.model.geom_pos[self._plates[own]] = size * self._places[own]
+        sizes = {name: sim.scene.size(name, conditions) for name in sim.scene.loose}
+        for name, geoms, middles, fronts in self._plates:  # a plate stays as thick
+            visual.model.geom_pos[geoms] = middles + (sizes.get(name, 1.0) - 1.0) * fronts
         self._know(sizes)
 
     def _know(self, sizes: Mapping[str, float]) -> None:

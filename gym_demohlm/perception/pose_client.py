@@ -5,7 +5,7 @@ its picture. What cannot be used is counted, with its reason.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import zmq
 
@@ -49,18 +49,22 @@ class PoseClient:
         self._context, self._address, self._timeout_ms = context, address, round(1e3 * timeout_s)
         self._socket: zmq.Socket[bytes] | None = None
         self._asked: wire.Request | None = None
+        self._unsent_s = 0.0  # since the last picture that was sent
         self.faults: Counter[str] = Counter()
 
     def look(self, request: wire.Request) -> Told | None:
         """Show the next picture, and return what the server says of it or of an earlier one; None where it is silent.
 
         Args:
-            request: Its ``frame`` is one more than the last one's.
+            request: Its ``frame`` is one more than the last one's, and its ``dt_s`` the time since that one; the server
+                is told the time since the last one that it was sent.
         """
         wait_ms = self._timeout_ms
+        self._unsent_s += request.dt_s
         if self._asked is None:
-            self._asked = request
-            self._called().send_multipart([b"", *wire.pack_request(request)])
+            self._asked = replace(request, dt_s=self._unsent_s)
+            self._unsent_s = 0.0
+            self._called().send_multipart([b"", *wire.pack_request(self._asked)])
         else:
             wait_ms = min(wait_ms, _GLANCE_MS)
         return self._heard(request.frame, wait_ms)

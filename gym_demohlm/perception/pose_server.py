@@ -47,14 +47,14 @@ class TrackerBackend:
     """This project's tracker: one for each object of each session."""
 
     def __init__(self) -> None:
-        self._meshes: dict[str, tuple[ObjectMesh, ...]] = {}
+        self._meshes: dict[tuple[str, str], tuple[ObjectMesh, ...]] = {}
         self._sessions: OrderedDict[tuple[str, ...], _Session] = OrderedDict()
 
     def __call__(self, request: Request) -> list[Answer]:
         """Track the objects in a picture; masks that were not sent are found by colour.
 
         Raises:
-            UnknownNameError: No such task, or it has no such object.
+            UnknownNameError: No such task or region, or the task has no such object.
         """
         meshes = self._known(request)
         height, width = request.depth.shape
@@ -62,7 +62,7 @@ class TrackerBackend:
         known = Intrinsics(
             width=width, height=height, focal=float(K[0, 0]), center_u=float(K[0, 2]), center_v=float(K[1, 2])
         )
-        session = (request.session, request.task, *request.objects)
+        session = (request.session, request.task, request.region, *request.objects)
         past = self._sessions.pop(session, None)
         trackers = [Tracker(mesh, known) for mesh in meshes] if past is None else past.trackers
         hands = {} if past is None else past.hands
@@ -84,10 +84,12 @@ class TrackerBackend:
         return answers
 
     def _known(self, request: Request) -> list[ObjectMesh]:
-        if request.task not in self._meshes:
+        form = request.task, request.region
+        if form not in self._meshes:
             task = get_task(request.task)
-            self._meshes[request.task] = object_meshes(build_scene(task).model, task)
-        by_name = {mesh.name: mesh for mesh in self._meshes[request.task]}
+            task = task.at(request.region) if request.region else task
+            self._meshes[form] = object_meshes(build_scene(task).model, task)
+        by_name = {mesh.name: mesh for mesh in self._meshes[form]}
         for name in request.objects:
             if name not in by_name:
                 raise UnknownNameError("object", name, by_name)

@@ -11,6 +11,7 @@ import numpy as np
 import zmq
 
 from gym_demohlm.perception import d435, masks, wire
+from gym_demohlm.perception.glass import Glass
 from gym_demohlm.perception.meshes import ObjectMesh, known_meshes
 from gym_demohlm.perception.picture import photographed
 from gym_demohlm.perception.pose_client import PoseClient
@@ -84,7 +85,9 @@ class RemotePerceiver(SeeingPerceiver):
         self._meshes = known_meshes(sim.scene)
         if self._settings.masks == "color":
             masks.refuse_grey(self._meshes)
-        return VisualModel(sim.model)
+        visual = VisualModel(sim.model)
+        self._glass = Glass(visual)
+        return visual
 
     def _look(
         self, visual: VisualModel, eyes: Eyes, T_odom_optical: np.ndarray, palms: dict[str, np.ndarray]
@@ -106,10 +109,9 @@ class RemotePerceiver(SeeingPerceiver):
     def _request(
         self, visual: VisualModel, eyes: Eyes, memory: _Memory, T_odom_optical: np.ndarray, palms: dict[str, np.ndarray]
     ) -> wire.Request:
-        frame = visual.depth_and_ids()
-        depth = d435.measure(
-            frame.depth, self._noise, eyes.rng, scale=memory.scale, image_focal=visual.intrinsics.focal
-        )
+        frame, focal = visual.depth_and_ids(), visual.intrinsics.focal
+        behind = self._glass.behind(frame)
+        depth = d435.measure(frame.depth, self._noise, eyes.rng, scale=memory.scale, image_focal=focal, behind=behind)
         color = photographed(visual.rgb(), eyes.rng)
         found = None
         if self._settings.masks == "oracle":
@@ -130,6 +132,8 @@ class RemotePerceiver(SeeingPerceiver):
             color=color,
             depth=depth,
             masks=found,
+            dt_s=eyes.dt_s,
+            region=self._task.form,
         )
 
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception import camera, d435, masks
-from gym_demohlm.perception.meshes import TRANSPARENT, ObjectMesh, known_meshes
+from gym_demohlm.perception.glass import Glass
+from gym_demohlm.perception.meshes import ObjectMesh, known_meshes
 from gym_demohlm.perception.picture import photographed
 from gym_demohlm.perception.seeing import Eyes, Mounting, SeeingPerceiver, Sighting
 from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, SHIFT_OF_DEGREE, PerceptionSettings
@@ -112,9 +113,7 @@ class RgbdPerceiver(SeeingPerceiver):
         if self._settings.masks == "color":
             masks.refuse_grey(self._meshes)
         self._doors = doors(model, self._meshes)
-        alpha = model.geom_rgba[:, 3]
-        self._is_transparent = np.append(visual.drawn & (alpha > 0) & (alpha < TRANSPARENT), False)  # the last: id -1
-        self._transparent = np.flatnonzero(self._is_transparent)
+        self._glass = Glass(visual)
         pelvis = model.body("pelvis").id
         self._robot = np.append(model.body_rootid[model.geom_bodyid] == pelvis, False)  # the last: id -1
         return visual
@@ -186,16 +185,8 @@ class RgbdPerceiver(SeeingPerceiver):
     ) -> tuple[Frame, np.ndarray]:
         """Return ids and true depth of a window, and the measured depth."""
         frame = visual.depth_and_ids(window)
-        behind = None
-        if len(self._transparent):  # where no glass is in the picture all is as it is drawn
-            behind = frame.depth.copy()
-            glass = camera.window_of(self._is_transparent[frame.ids], window)
-            if glass is not None:
-                behind[glass.slices_in(window)] = visual.depth_and_ids(glass, self._transparent).depth
-        noise = self._settings.noise
-        measured = d435.measure(
-            frame.depth, noise, eyes.rng, scale=scale, image_focal=visual.intrinsics.focal, behind=behind
-        )
+        noise, focal, behind = self._settings.noise, visual.intrinsics.focal, self._glass.behind(frame)
+        measured = d435.measure(frame.depth, noise, eyes.rng, scale=scale, image_focal=focal, behind=behind)
         return frame, measured
 
     def _window(self, trackers: list[Tracker], T_odom_optical: np.ndarray, visual: VisualModel) -> camera.Window:

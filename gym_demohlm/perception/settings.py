@@ -13,7 +13,14 @@ SOURCES = ("exact", "model", "rgbd", "apriltag", "remote")
 MASKS = ("oracle", "color", "server")
 SHIFT_OF_DEGREE = 0.005  # m by which a camera is shifted that is turned by a degree
 FOCAL_OF_DEGREE = 0.005  # share by which its known focal length is off
-_DRAWING = ("rgbd", "apriltag", "remote")
+_SOURCES_OF = {
+    "camera_error": ("rgbd", "apriltag", "remote"),
+    "mesh_scale": ("rgbd", "apriltag"),
+    "address": ("remote",),
+    "timeout_s": ("remote",),
+    "fit": ("model",),
+}
+"""The sources that an option is for; those not named here are for all, but for ``masks``, whose value decides."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,14 +33,14 @@ class PerceptionSettings:
             the picture's colours ("color"), or left to the server ("server", with "remote" only).
         camera_error: Angle by which the camera is mounted otherwise than the robot knows [degrees]; with each degree go
             5 mm and 0.5 % of focal length. For the sources that draw.
-        mesh_scale: Size of the known meshes, or tags, over that of the objects. For the sources that draw.
+        mesh_scale: Size of the known meshes, or tags, over that of the objects, with "rgbd" and "apriltag".
         bias_mm: Distance by which each object is told elsewhere, in a direction that an episode draws [mm]; with each
             millimetre goes a turn of 0.2 degrees.
         latency_s: Age of what is told [s], in steps of 0.1 s.
         dropout: Share of frames from which nothing is told.
         address: Of the pose server, with "remote".
         fit: File of the errors' model, with "model"; the packaged one of the task by default.
-        timeout_s: Longest wait for its answer [s].
+        timeout_s: Longest wait for the server's answer [s], with "remote".
 
     Raises:
         UnknownNameError: No such source or masks.
@@ -68,11 +75,11 @@ class PerceptionSettings:
             )
         if not math.isclose(self.latency_s, STEP_DT * round(self.latency_s / STEP_DT), abs_tol=1e-9):
             raise SceneError(f"latency_s={self.latency_s:g}", f"a multiple of {STEP_DT:g} s", "correct it")
-        of_drawing = self.camera_error != 0.0 or self.mesh_scale != 1.0
-        if of_drawing and self.source not in _DRAWING:
-            raise SceneError(
-                f"a camera error or mesh scale with perception {self.source!r}", f"one of {_DRAWING}", "leave it out"
-            )
+        for entry in fields(self):
+            value, sources = getattr(self, entry.name), _SOURCES_OF.get(entry.name, SOURCES)
+            if value != entry.default and self.source not in sources:
+                got = f"{entry.name}={_spelled(value)} with perception {self.source!r}"
+                raise SceneError(got, f"it with {' or '.join(sources)}", "leave it out")
         allowed = {"rgbd": ("oracle", "color"), "remote": MASKS}.get(self.source, ("oracle",))
         if self.masks not in allowed:
             raise SceneError(f"masks {self.masks!r} with {self.source!r}", f"one of {', '.join(allowed)}", "choose it")

@@ -70,8 +70,9 @@ class Sight:
         seen = self._perceiver.observe(self._sim, rows)
         for name in ("T_camera_object", "valid", "age_s", "inliers"):
             getattr(self._estimate, name)[rows] = getattr(seen, name)
-        p_camera_gaze = self._estimate.position(self._gaze)
-        p_camera_gaze[rows] = self._around.targets(self._sim, rows, p_camera_gaze[rows], self._estimate.age_s[rows])
+        told, before = self._estimate.position(self._gaze), self._sim.p_camera_gaze
+        p_camera_gaze = told if before is None else before.copy()  # a glance of another world goes on
+        p_camera_gaze[rows] = self._around.targets(self._sim, rows, told[rows], self._estimate.age_s[rows])
         self._sim.p_camera_gaze = p_camera_gaze
 
     def environment_state(self) -> np.ndarray:

@@ -41,6 +41,11 @@ class Tag:
     edge: float
 
     @property
+    def plate(self) -> str:
+        """Name of its geom in the drawn scene."""
+        return f"tag_{self.id}"
+
+    @property
     def corners(self) -> np.ndarray:
         """(4, 3) corners of the black square in the object's frame [m], counter-clockwise from the lower left."""
         half = 0.5 * self.edge
@@ -76,17 +81,16 @@ def tagged_model(scene: Scene) -> tuple[mujoco.MjModel, tuple[tuple[Tag, ...], .
     for entry, worn in zip(task.objects, tags, strict=True):
         body = spec.body(entry.name)
         for tag in worn:
-            name = f"tag_{tag.id}"
-            _add_material(spec, name, cv2.aruco.generateImageMarker(dictionary, tag.id, 8 * _PIXELS, borderBits=1))
+            _add_material(spec, tag.plate, cv2.aruco.generateImageMarker(dictionary, tag.id, 8 * _PIXELS, borderBits=1))
             half = 0.5 * tag.edge * CELLS / (CELLS - 2)
             position, quat = poses.split(tag.T_object_tag @ poses.pose([0.0, 0.0, -_THICKNESS]))
             body.add_geom(
-                name=name,
+                name=tag.plate,
                 type=mujoco.mjtGeom.mjGEOM_BOX,
                 size=[half, half, _THICKNESS],
                 pos=position,
                 quat=quat,
-                material=name,
+                material=tag.plate,
                 contype=0,
                 conaffinity=0,
                 mass=0.0,

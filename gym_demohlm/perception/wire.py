@@ -39,6 +39,7 @@ class Request:
         depth: (height, width) float32 [m], 0 where nothing was measured.
         masks: (height, width) bool, one an object; None where the server is to find them.
         dt_s: Time since the session's last picture [s].
+        region: "R4" where the objects have the shapes of R4, see ``Task.form``; else empty.
     """
 
     session: str
@@ -52,6 +53,7 @@ class Request:
     depth: np.ndarray
     masks: tuple[np.ndarray, ...] | None
     dt_s: float = STEP_DT
+    region: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,7 @@ def pack_request(request: Request) -> list[bytes]:
         "T_odom_optical": request.T_odom_optical.ravel().tolist(),
         "hands": {side: T.ravel().tolist() for side, T in request.hands.items()},
         "dt_s": request.dt_s,
+        "region": request.region,
     }
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(request.color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95])
     steps = np.clip(np.round(request.depth / DEPTH_UNIT), 0, 65535).astype("<u2")
@@ -130,6 +133,7 @@ def unpack_request(parts: Sequence[bytes]) -> Request:
             depth=(steps * np.float32(header["depth_unit_m"])).astype(np.float32),
             masks=masks,
             dt_s=_time(header.get("dt_s", STEP_DT)),
+            region=str(header.get("region", "")),
         )
     except (
         ValueError,
@@ -137,6 +141,7 @@ def unpack_request(parts: Sequence[bytes]) -> Request:
         IndexError,
         TypeError,
         AttributeError,
+        OverflowError,
         RecursionError,
         cv2.error,
         zlib.error,
@@ -169,7 +174,7 @@ def unpack_answers(message: bytes, num_objects: int) -> tuple[int, list[Answer]]
     try:
         content = json.loads(message)
         frame, entries = int(content["frame"]), content["objects"]
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         raise ValueError("no answer in JSON") from None
     if not isinstance(entries, list) or len(entries) != num_objects:
         raise ValueError("another number of objects")
@@ -179,7 +184,7 @@ def unpack_answers(message: bytes, num_objects: int) -> tuple[int, list[Answer]]
 def _answer(entry: Any) -> Answer:  # noqa: ANN401
     try:
         T, valid, reason = np.asarray(entry["T_optical_object"], dtype=np.float64), entry["valid"], entry["reason"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         raise ValueError("no pose in an answer") from None
     if not valid:
         return Answer(T_optical_object=np.eye(4), valid=False, reason=str(reason)[:80])

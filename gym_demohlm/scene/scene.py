@@ -144,11 +144,15 @@ class Scene:
         """Return ``physics`` and ``untouched`` of a world under some conditions.
 
         Raises:
-            SceneError: The scene was built without a variation.
+            SceneError: The conditions are of a group that does not vary in this scene.
             UnknownNameError: The conditions are of an object that it does not have, or that is not loose.
         """
         if not conditions:
             return self.physics, self.untouched
+        groups = self.variation.groups
+        if lacking := sorted(conditions.groups() - set(groups)):
+            got = f"a start with conditions of {', '.join(lacking)} in worlds of variation {self.variation.name!r}"
+            raise SceneError(got, f"only those of {', '.join(groups) or 'no group'}", "name its variation")
         for name in sorted(conditions.objects() - set(self.loose)):
             raise UnknownNameError("condition of", name, self.loose)
         model = self._varied(conditions, drawn=False)
@@ -208,6 +212,11 @@ class Scene:
         """Return the loose objects whose size may change: of one body, with nothing inside."""
         parents = {int(self.model.body_parentid[index]) for index in range(self.model.nbody)}
         return tuple(name for name in self.loose if name not in self.task.riders and self._body(name).id not in parents)
+
+    def size(self, name: str, conditions: Conditions) -> float:
+        """Return the size of an object over its own under some conditions; 1 where it cannot change."""
+        size = conditions.number("objects.size", name, plain=1.0)
+        return size if size == 1.0 or name in self._resizable() else 1.0
 
     def place(self, initial_state: InitialState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Turn an initial state into positions of the robot, at rest on its feet, of objects and of their supports.
@@ -275,10 +284,8 @@ class Scene:
 
     def _sunk(self, name: str, conditions: Conditions) -> float:
         """Return by how much an object of another size begins higher so that it still lies on what carries it [m]."""
-        size = conditions.number("objects.size", name, plain=1.0)
-        if size == 1.0 or name not in self._resizable():
-            return 0.0
-        return lowest_point(self.physics, name) * (1.0 - size)
+        size = self.size(name, conditions)
+        return 0.0 if size == 1.0 else lowest_point(self.physics, name) * (1.0 - size)
 
     def _place_clutter(self, qpos: np.ndarray, conditions: Conditions, offsets: "_Offsets") -> None:
         """Put the cans on the table, moved by a region's offsets, or far away."""

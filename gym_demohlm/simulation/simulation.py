@@ -123,7 +123,8 @@ class Simulation(Worlds):
             the default, for where it is. A reset turns the neck to where it is.
 
     Raises:
-        SceneError: ``num_worlds`` or ``num_threads`` is less than 1, or the controller's file is damaged.
+        SceneError: ``num_worlds`` or ``num_threads`` is less than 1, the controller is for another number of worlds, or
+            its file is damaged.
         UnknownNameError: No controller is called so.
     """
 
@@ -140,6 +141,9 @@ class Simulation(Worlds):
             raise SceneError(f"num_worlds={num_worlds}, num_threads={num_threads}", "at least 1 each", "raise them")
         if controller is None or isinstance(controller, str):
             controller = WholeBodyController(num_worlds, controllers.find(controller or controllers.DEFAULT))
+        if len(controller.state) != num_worlds:
+            got = f"a controller for {len(controller.state)} worlds"
+            raise SceneError(got, f"one for {num_worlds}", "make it for as many, or name it")
         ours = controller.settings if isinstance(controller, WholeBodyController) else None
         super().__init__(task, num_worlds, getattr(controller, "physics", None), variation)
         model = self.model
@@ -189,7 +193,8 @@ class Simulation(Worlds):
             worlds: Which worlds; all of them by default.
 
         Raises:
-            SceneError: A state that is not two times three finite numbers, or not one a world.
+            SceneError: A state that is not two times three finite numbers, one with conditions of a group that does not
+                vary here, or not one a world.
         """
         rows = self._rows(worlds)
         if len(initial_states) != len(rows):

@@ -61,6 +61,10 @@ class Conditions:
         """Return them as keys of an initial state."""
         return {key: list(numbers) for key, numbers in self.values.items()}
 
+    def groups(self) -> set[str]:
+        """Return the groups that they are of."""
+        return {key.partition(".")[0] for key in self.values}
+
     def objects(self) -> set[str]:
         """Return the names of the objects that have numbers of their own."""
         parts = (key.split(".", 2) for key in self.values if key != SEED)

@@ -65,6 +65,7 @@ class Variation:
                 drawn = rng.uniform(*range_, factor.size)
                 values[key + target] = tuple(round(float(value), _DIGITS) for value in drawn)
         if any(FACTORS[key].group == "robot" for key in self.ranges):
+            # SeedSequence pads with zeros: the first factor's stream. It stays, as another would change all noise.
             values["robot.seed"] = (float(np.random.default_rng([VARIATION_STREAM, entropy]).integers(2**31)),)
         return Conditions(values=values)
 

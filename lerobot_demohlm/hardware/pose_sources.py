@@ -102,8 +102,8 @@ class WorldSource:
 class _Seen:
     """What was seen of each object, and when; what is not seen now keeps its pose in the frame "odometry".
 
-    Of poses that look the same it tells the one that heads as the camera does. The perceivers that policies are trained
-    with do both (``gym_demohlm.perception``).
+    Of poses that look the same it tells the one that heads as the camera does. ``rgbd`` and ``exact`` do both; the model
+    of errors, by which policies of varied worlds see, tells that one of what it sees, not of what it holds.
     """
 
     def __init__(self, task: Task) -> None:
@@ -223,6 +223,7 @@ class ServerSource:
                 depth=self._camera.depth(image.shape),
                 masks=None,
                 dt_s=STEP_DT if before_ns is None else 1e-9 * (now_ns - before_ns),
+                region=self._task.form,
             )
         )
         self._frame += 1

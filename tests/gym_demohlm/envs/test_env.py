@@ -253,6 +253,38 @@ def test_options_choose_the_start() -> None:
     assert info["initial_state"]["robot"].tolist() == [[-0.8, 0.1, 0.2], [-0.3, 0.0, 0.0]]
 
 
+def test_a_vector_environment_takes_the_initial_states_that_it_gives() -> None:
+    env = make_vector(2, variation="real:objects")
+    first, infos = env.reset(seed=3)
+    again, others = env.reset(options={"initial_state": infos["initial_state"]})
+    assert_same(first, again)
+    assert_infos_alike(infos, others)
+    mask = np.array([False, True])
+    _, infos = env.reset(seed=4, options={"reset_mask": mask})
+    part = infos["initial_state"]
+    _, others = env.reset(options={"initial_state": part, "reset_mask": mask})
+    assert_infos_alike(infos, others)
+    with pytest.raises(SceneError, match="robot=None"):
+        env.reset(options={"initial_state": part})
+    with pytest.raises(SceneError, match="a mask beside each array"):
+        env.reset(options={"initial_state": {"robot": part["robot"], "object": part["object"], "_robot": mask}})
+    with pytest.raises(SceneError, match="2 initial states"):
+        make_vector(3).reset(options={"initial_state": part})
+
+
+@pytest.mark.parametrize("mask", [[1, 0], [True], [[True], [False]], True])
+def test_a_mask_of_worlds_is_one_truth_value_each(mask: Any) -> None:
+    env = make_vector(2)
+    with pytest.raises(SceneError, match="reset_mask="):
+        env.reset(seed=0, options={"reset_mask": np.array(mask)})
+
+
+def test_each_world_is_called_for_its_own_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make_vector(2)
+    monkeypatch.setattr(env._episodes, "perception_faults", lambda world: {"late": world})
+    assert env.call("perception_faults") == ({"late": 0}, {"late": 1})
+
+
 def test_actions_out_of_bounds_are_clipped_and_counted() -> None:
     env = make()
     env.reset(seed=0)
@@ -280,6 +312,8 @@ def test_bad_input_is_explained() -> None:
         make(obs_type="pixels")
     with pytest.raises(UnknownNameError, match="rgb_array"):
         make(render_mode="ansi")
+    with pytest.raises(UnknownNameError, match="expected one of rgb_array"):
+        make_vector(1, render_mode="human")
     with pytest.raises(SceneError, match="SAME_STEP"):
         make_vector(1, autoreset_mode=AutoresetMode.NEXT_STEP)
     vector = make_vector(2)

@@ -15,6 +15,7 @@ from gym_demohlm.perception.sight import Sight
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
+from tests.helpers.hold import HoldController
 
 TARGET = np.array([1.0, 0.3, -0.4])  # m, on the torso
 UNSEEN, SEEN = np.array([[0.0, np.inf]]), np.array([[0.0, 3.0]])
@@ -88,6 +89,31 @@ def test_the_gaze_of_other_tasks_stays(name: str) -> None:
     target = np.array([[1.0, 0.2, 0.1]])
     for _ in range(3):
         np.testing.assert_array_equal(around.targets(cast(Simulation, Neck()), np.array([0]), target, never), target)
+
+
+def test_an_episode_that_begins_takes_no_glance_away_from_others() -> None:
+    task, rows = get_task("CarryBox"), np.arange(2)
+    starts = [task.sample("R3", np.random.default_rng(seed)) for seed in (970001, 970003)]
+
+    def told(begun_again: bool) -> np.ndarray:
+        sim = Simulation(task, 2, controller=HoldController(2))
+        eyes = Sight(sim, "model")
+        sim.reset(starts)
+        eyes.begin(rows, starts)
+        seen = []
+        for step in range(6):
+            if begun_again and step == 3:
+                sim.reset(starts[:1], rows[:1])
+                eyes.begin(rows[:1], starts[:1])
+            sim.step(sim.command)
+            eyes.look(rows)
+            seen.append(eyes.environment_state()[1])
+        assert np.isinf(eyes.estimate.age_s[1, 1])  # it still looks for the goal
+        eyes.close()
+        sim.close()
+        return np.array(seen)
+
+    np.testing.assert_array_equal(told(begun_again=False), told(begun_again=True))
 
 
 @pytest.mark.parametrize(("searched", "is_found"), [(("goal",), True), ((), False)])

@@ -70,8 +70,11 @@ def test_a_camera_that_is_mounted_otherwise_shifts_what_is_told() -> None:
     assert 0.2 * distance * np.radians(2.0) < np.linalg.norm(off[:3] - straight[:3]) < 1.5 * distance * np.radians(2.0)
 
 
+@pytest.mark.parametrize("source", ["rgbd", "remote,timeout_s=0.01"])
 @pytest.mark.parametrize(("name", "passes"), [("GraspCube", 1), ("PourWater", 2)])
-def test_only_glass_in_the_picture_is_looked_through(name: str, passes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_glass_in_the_picture_is_looked_through(
+    source: str, name: str, passes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn: list[int] = []
     draw = VisualModel.depth_and_ids
 
@@ -81,7 +84,7 @@ def test_only_glass_in_the_picture_is_looked_through(name: str, passes: int, mon
 
     monkeypatch.setattr(VisualModel, "depth_and_ids", counted)
     task = get_task(name)
-    with closing(Simulation(task, 1)) as sim, closing(RgbdPerceiver(task, 1)) as perceiver:
+    with closing(Simulation(task, 1)) as sim, closing(make_perceiver(source, task, 1)) as perceiver:
         sim.reset([task.sample("R1", np.random.default_rng(0))])
         perceiver.begin(np.array([0]), [0])
         perceiver.observe(sim, np.array([0]))

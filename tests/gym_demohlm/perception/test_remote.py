@@ -1,8 +1,10 @@
 """A pose server: the reference one, and ones that are late, silent, wrong or killed."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.perception import wire
+from gym_demohlm.perception.meshes import known_meshes
 from gym_demohlm.perception.pose_client import LATE, NO_ANSWER
 from gym_demohlm.perception.pose_server import TrackerBackend, make_backend
 from gym_demohlm.perception.pose_server import _answered as answered
@@ -49,6 +52,10 @@ def _not_finite(answer: dict) -> None:
     answer["objects"][0]["T_optical_object"][3] = float("nan")
 
 
+def _too_large(answer: dict) -> None:
+    answer["objects"][0]["T_optical_object"][3] = 10**400
+
+
 def _shorter(answer: dict) -> None:
     answer["objects"][0]["T_optical_object"].pop()
 
@@ -69,11 +76,13 @@ def _lost(answer: dict) -> None:
     ("change", "reason"),
     [
         (_not_finite, "a pose that is not finite"),
+        (_too_large, "no pose in an answer"),
         (_shorter, "a pose of a wrong shape"),
         (_stretched, "a pose that is no rotation and shift"),
         (_fewer, "another number of objects"),
         (_lost, "the mask is empty"),
         (lambda answer: answer.pop("objects"), "no answer in JSON"),
+        (lambda answer: answer.update(frame=math.inf), "no answer in JSON"),
         (lambda answer: answer.update(frame=999), "an answer to another picture"),
     ],
 )
@@ -106,10 +115,20 @@ def test_a_server_that_was_killed_leaves_the_last_pose_and_one_in_its_place_is_f
 
 
 def test_an_answer_that_comes_late_is_taken_as_of_the_time_of_its_picture() -> None:
-    with replying(lambda request: told(request, wait_s=0.3 if request.frame == 1 else 0.0)) as address:
+    asked: list[tuple[int, float]] = []
+
+    def late(request: wire.Request) -> bytes:
+        asked.append((request.frame, request.dt_s))
+        return told(request, wait_s=0.3 if request.frame == 1 else 0.0)
+
+    with replying(late) as address:
         seen, faults = _episode(address, steps=60, timeout_s=0.1)
     assert faults.get(LATE, 0) >= 1 and faults[NO_ANSWER] >= 1
     assert all(np.isfinite(row).all() for row in seen)
+    frames, dt_s = np.array(asked).T
+    skipped = np.diff(frames)
+    np.testing.assert_allclose(dt_s[1:], 0.1 * skipped)  # since the last picture that the server was sent
+    assert skipped.max() > 1
 
 
 def test_a_request_survives_the_wire() -> None:
@@ -119,8 +138,8 @@ def test_a_request_survives_the_wire() -> None:
         hands={"left": np.eye(4)}, color=np.full((48, 64, 3), 120, np.uint8),
         depth=rng.uniform(0.2, 6.0, (48, 64)).astype(np.float32), masks=(rng.random((48, 64)) > 0.5,),
     )  # fmt: skip
-    back = wire.unpack_request(wire.pack_request(replace(request, dt_s=0.04)))
-    assert back.dt_s == 0.04
+    back = wire.unpack_request(wire.pack_request(replace(request, dt_s=0.04, region="R4")))
+    assert (back.dt_s, back.region) == (0.04, "R4")
     np.testing.assert_allclose(back.depth, request.depth, atol=0.5 * wire.DEPTH_UNIT + 1e-6)
     assert back.masks is not None and (back.masks[0] == request.masks[0]).all()  # pyright: ignore[reportOptionalSubscript]
     assert back.objects == ("cube",) and back.frame == 3 and np.abs(back.color.astype(int) - 120).max() <= 2
@@ -140,6 +159,33 @@ def test_a_damaged_request_is_an_error(part: int) -> None:
     parts[part] = parts[part][: len(parts[part]) // 2] if part != 1 else b"no jpeg"
     with pytest.raises(SceneError):
         wire.unpack_request(parts)
+
+
+@pytest.mark.parametrize("change", [{"frame": math.inf}, {"T_odom_optical": [10**400] * 16}])
+def test_numbers_that_are_too_large_are_an_error(change: dict[str, Any]) -> None:
+    header, *others = wire.pack_request(_request())
+    with pytest.raises(SceneError, match="cannot be read"):
+        wire.unpack_request([json.dumps(json.loads(header) | change).encode(), *others])
+
+
+def test_the_server_is_told_of_the_shapes_that_objects_have_in_r4() -> None:
+    asked: list[wire.Request] = []
+
+    def noted(request: wire.Request) -> bytes:
+        asked.append(request)
+        return told(request)
+
+    with replying(noted) as address:
+        env = gym.make("DemoHLM/LiftBox-v0", region="R4", perception=f"remote,address={address},timeout_s=20").unwrapped
+        env.reset(seed=0)
+        (true,) = known_meshes(env.get_wrapper_attr("sim").scene)
+        env.close()
+    backend, request = TrackerBackend(), asked[0]
+    (plain,), (wide,) = (backend._known(replace(request, region=region)) for region in ("", request.region))
+    np.testing.assert_array_equal(wide.vertices, true.vertices)
+    assert np.ptp(wide.vertices, axis=0).tolist() != np.ptp(plain.vertices, axis=0).tolist()
+    with pytest.raises(UnknownNameError, match="R1, R2, R3, R4"):
+        backend(replace(request, region="R9"))
 
 
 def test_whatever_a_message_does_the_next_one_is_answered() -> None:

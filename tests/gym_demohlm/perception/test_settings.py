@@ -29,11 +29,37 @@ def test_only_the_plain_one_is_exact() -> None:
         "rgbd,dropout=-1",
         "rgbd,dropout=x",
         "rgbd,mesh_scale=9",
+        "remote,mesh_scale=1.02",
+        "exact,fit=errors.json",
+        "apriltag,fit=errors.json",
+        "rgbd,timeout_s=3",
+        "rgbd,address=tcp://127.0.0.1:5571",
+        "rgbd,masks=server",
     ],
 )
 def test_what_does_not_fit_is_an_error(text: str) -> None:
     with pytest.raises(SceneError):
         PerceptionSettings.read(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "exact,bias_mm=5,latency_s=0.1,dropout=0.5",
+        "model,bias_mm=5,fit=errors.json",
+        "apriltag,camera_error=1,mesh_scale=1.02,latency_s=0.2",
+        "remote,masks=server,camera_error=1,dropout=0.5,address=tcp://127.0.0.1:5571,timeout_s=3",
+    ],
+)
+def test_options_that_a_source_has_are_kept(text: str) -> None:
+    assert str(PerceptionSettings.read(text)) == text
+
+
+def test_an_option_of_another_source_is_an_error_that_names_its_sources() -> None:
+    with pytest.raises(
+        SceneError, match=r"mesh_scale=1\.02 with perception 'remote'; expected it with rgbd or apriltag"
+    ):
+        PerceptionSettings.read("remote,mesh_scale=1.02")
 
 
 @pytest.mark.parametrize(

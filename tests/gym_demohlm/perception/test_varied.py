@@ -1,15 +1,18 @@
 """Worlds that differ from the plain one are drawn as they are, by everything that draws them."""
 
 import itertools
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control.controllers import DEFAULT
+from gym_demohlm.perception.apriltag import AprilTagPerceiver
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.seeing import SeeingPerceiver
 from gym_demohlm.perception.small_pictures import SmallPictures
+from gym_demohlm.perception.tag_layout import tagged_model
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import InitialState
@@ -62,6 +65,25 @@ def test_tags_stick_on_the_faces_of_a_varied_box(sim: Simulation) -> None:
     off = np.linalg.norm((seen.T_camera_object - true.T_camera_object)[:, 0, :3, 3], axis=1)
     assert off.max() < 0.01
     perceiver.close()
+
+
+def test_tags_follow_the_faces_of_what_can_be_of_another_size() -> None:
+    """A bottle with water in it keeps its size, a bowl does not; a plate's front is where its tag is known to be."""
+    task = get_task("PourWater")
+    with closing(Simulation(task, variation=get_variation("hard:objects"))) as sim:
+        sim.reset([task.default_state() | {"objects.size.bottle": [1.15], "objects.size.bowl": [1.15]}])
+        _, printed = tagged_model(sim.scene)
+        with closing(make_perceiver("apriltag", task, 1)) as perceiver:
+            assert isinstance(perceiver, AprilTagPerceiver)
+            perceiver.observe(sim, np.array([0]))
+            model = perceiver._opened(sim).model
+            for size, plain, known in zip((1.0, 1.15), printed, perceiver._tags, strict=True):
+                for before, tag in zip(plain, known, strict=True):
+                    place = tag.T_object_tag[:3, 3]
+                    np.testing.assert_allclose(place, size * before.T_object_tag[:3, 3], atol=1e-12)
+                    plate = model.geom(tag.plate)
+                    front = plate.pos + plate.size[2] * tag.T_object_tag[:3, 2]
+                    np.testing.assert_allclose(front, place, atol=1e-9)
 
 
 def test_small_pictures_show_the_varied_box(sim: Simulation) -> None:

@@ -356,6 +356,9 @@ def test_bad_input_is_explained() -> None:
         sim.reset([STATES[0]])
     with pytest.raises(SceneError, match="num_worlds=0"):
         make(0)
+    for count in (1, 3):
+        with pytest.raises(SceneError, match=f"a controller for {count} worlds; expected one for 2"):
+            Simulation(TASK, 2, controller=HoldController(count))
 
 
 def test_an_object_that_cannot_be_placed_is_refused() -> None:

@@ -145,6 +145,20 @@ def test_conditions_need_a_simulation_that_may_vary() -> None:
     sim.close()
 
 
+@pytest.mark.parametrize("group", ["objects", "perception"])
+def test_conditions_of_a_group_that_does_not_vary_are_refused_before_anything_changes(group: str) -> None:
+    whole, sim = varied("real"), varied("real:pushes")
+    start = whole.vary(START)
+    kept = {key: numbers for key, numbers in start.items() if "." not in key or key.startswith(("pushes.", group))}
+    before = sim.snapshot()
+    with pytest.raises(SceneError, match=f"conditions of {group} in worlds of variation 'real:pushes'"):
+        sim.reset([kept])
+    assert all(np.array_equal(values, before[name]) for name, values in sim.snapshot().items())
+    sim.reset([{key: numbers for key, numbers in kept.items() if not key.startswith(group)}])
+    sim.close()
+    whole.close()
+
+
 @pytest.mark.parametrize("name", sorted(all_tasks()))
 def test_furniture_collides_as_it_looks_and_cans_stand_on_tables(name: str) -> None:
     """Every visible geom of furniture under objects collides with robot and things; nothing is invisible."""
