@@ -102,8 +102,8 @@ class WorldSource:
 class _Seen:
     """What was seen of each object, and when; what is not seen now keeps its pose in the frame "odometry".
 
-    Of poses that look the same it tells the one that heads as the camera does. ``rgbd`` and ``exact`` do both; the model
-    of errors, by which policies of varied worlds see, tells that one of what it sees, not of what it holds.
+    Of poses that look the same it tells the one that heads as the camera does. ``rgbd`` and ``exact`` do both. The
+    model of errors, by which policies of varied worlds see, does so with what it sees, not with what it holds.
     """
 
     def __init__(self, task: Task) -> None:
