@@ -107,6 +107,7 @@ class RecordingSession:
         self._segments: list[Segment] = []
         self._touching = SelfContacts(self.sim)
         self._asked: OperatorPoses | None = None
+        self._before: tuple[OperatorPoses | None, float] = (None, 0.0)  # poses and squat as the recording began
         self._held = 0
         take_over(self.sim, self.start)
         self._fresh = self.sim.snapshot()
@@ -251,6 +252,7 @@ class RecordingSession:
         facts = {**self._replayed_by, "start": self.start, "operator": self.settings.operator}
         self.journal.begin(self.sim.snapshot(), self.recorder.last, facts)
         self.recorder.begin()
+        self._before = self._asked, self.clutch.squat
         self._segments, self.state, self.message = [], RECORDING, "recording"
 
     def _stop(self) -> None:
@@ -288,7 +290,7 @@ class RecordingSession:
         self.sim.restore(self._fresh)
         self.recorder.restart()
         self.clutch.reset()
-        self._asked, self.state, self.message = None, IDLE, "discarded"
+        self._asked, self._before, self.state, self.message = None, (None, 0.0), IDLE, "discarded"
 
     def _save(self) -> None:
         review = self._review
@@ -363,13 +365,16 @@ class RecordingSession:
         self._waiting, self._released = True, False
 
     def _let_go(self) -> None:
-        """Have the clutch hold the targets of the last row."""
+        """Have the clutch hold the targets of the last row, or those with which the recording began."""
         rows = self.recorder.rows
+        asked, squat = self._before
         if rows:
             asked = _asked(rows[-1]["action"], rows[-1]["hand_targets"], rows[-1]["head_target"])
-            self.clutch.reset(asked.T_world_hands, asked.grippers, asked.T_world_head, rows[-1]["squat"])
-        else:
+            squat = rows[-1]["squat"]
+        if asked is None:
             self.clutch.reset()
+        else:
+            self.clutch.reset(asked.T_world_hands, asked.grippers, asked.T_world_head, squat)
 
     def _end_trial(self) -> None:
         if self._review is not None and self._review.trial is not None:

@@ -221,6 +221,18 @@ def test_a_robot_that_squats_stays_down_when_it_goes_back_and_when_it_is_taken_u
     session.close()
 
 
+def test_who_goes_back_to_the_beginning_holds_what_was_held_then(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "low")
+    for _ in range(10):
+        session.advance(Controls(lift=-1.0))
+    lowered = session.clutch.squat
+    session.press("record")
+    session.advance(Controls(lift=1.0))
+    session.press("rewind")
+    assert len(session.recorder) == 0 and session.clutch.squat == lowered < 0.0
+    session.close()
+
+
 def test_a_demonstration_begins_after_the_walk_and_before_the_motion(tmp_path: Path) -> None:
     session = make_session(tmp_path / "walk")
     session.press("record")
