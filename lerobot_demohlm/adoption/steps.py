@@ -16,7 +16,7 @@ from typing import Any
 
 from gym_demohlm.control import controllers
 from gym_demohlm.control.whole_body import Weights
-from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.errors import DemonstrationError, NoSuccessError
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.robot.physics import Physics
 from gym_demohlm.wbc.evaluation import paired
@@ -73,6 +73,7 @@ class Request:
             self.seed,
             provenance.code_hash(),
             provenance.generator_hash(),
+            provenance.checker_hash(),
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
@@ -106,13 +107,18 @@ def benchmark(request: Request) -> Found:
         _tried(request, controllers.find(name), physics) for name in (str(request.weights), controllers.DEFAULT)
     )
     rows = paired.compare(new, old)
+    unknown = tuple(
+        f"{row.name}: nothing was measured in {request.seconds:g} s, expected a number; give --seconds"
+        for row in rows
+        if not (math.isfinite(row.low) and math.isfinite(row.high))
+    )
     worse = tuple(
         f"{row.name} is {row.new:.4g} beside {row.old:.4g} of the default controller; the difference is between "
         f"{row.low:.2g} and {row.high:.2g}"
         for row in rows
         if row.worse
     )
-    return Found(numbers={"rows": [asdict(row) for row in rows], "physics": physics.name}, failures=worse)
+    return Found(numbers={"rows": [asdict(row) for row in rows], "physics": physics.name}, failures=(*unknown, *worse))
 
 
 def _tried(request: Request, weights: Path, physics: Physics) -> Trials:
@@ -171,18 +177,20 @@ def attempt(request: Request, name: str) -> Found:
     """Generate from a task's new demonstration in R3, from the beginning, also after a call that was killed."""
     task = get_task(name)
     shutil.rmtree(request.data(task.slug), ignore_errors=True)
-    summary = generate(
-        GenerationRequest(
-            task=name,
-            region=REGION,
-            seed=request.seed,
-            root=request.data(task.slug),
-            num_attempts=request.num_attempts,
-            num_workers=request.num_workers,
-            demonstration=request.demonstrations / task.slug,
-            controller=str(request.weights),
-        )
+    asked = GenerationRequest(
+        task=name,
+        region=REGION,
+        seed=request.seed,
+        root=request.data(task.slug),
+        num_attempts=request.num_attempts,
+        num_workers=request.num_workers,
+        demonstration=request.demonstrations / task.slug,
+        controller=str(request.weights),
     )
+    try:
+        summary = generate(asked)
+    except NoSuccessError as error:
+        return Found(numbers={"task": name, "region": REGION, "successes": 0}, failures=(f"{name}: {error}",))
     least = math.ceil(LEAST_SUCCESS * request.num_attempts)
     failures = ()
     if summary.successes < least:

@@ -16,6 +16,7 @@ from gym_demohlm.control import controllers
 LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
 _GENERATOR = ("datasets", "demonstrations", "generation", "reproducibility")  # packages of this one
+_CHECKER = ("adoption", "checks", "teleop")  # packages of this one, by which a controller is adopted
 _FMA_FLAGS = ("fma", "avx2", "avx512f", "asimd", "sve")  # of /proc/cpuinfo; each implies fused multiply-add
 
 
@@ -44,6 +45,15 @@ def generator_hash() -> str:
     """Return the SHA-256 of the code that decides what a generation run writes beside what simulates."""
     root, digest = Path(__file__).parents[1], hashlib.sha256()
     _add(digest, root, (path for package in _GENERATOR for path in (root / package).rglob("*.py")))
+    return digest.hexdigest()
+
+
+@functools.cache
+def checker_hash() -> str:
+    """Return the SHA-256 of the code that checks a new controller, beside what simulates and generates."""
+    ours, theirs, digest = Path(__file__).parents[1], Path(gym_demohlm.__file__).parent, hashlib.sha256()
+    _add(digest, ours, (path for package in _CHECKER for path in (ours / package).rglob("*.py")))
+    _add(digest, theirs, (theirs / "wbc" / "evaluation").rglob("*.py"))
     return digest.hexdigest()
 
 

@@ -12,7 +12,7 @@ import pytest
 from gym_demohlm import jsonl
 from gym_demohlm.control import controllers
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FOLDER
-from gym_demohlm.errors import SceneError
+from gym_demohlm.errors import NoSuccessError, SceneError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.adoption import adopt, steps
 from lerobot_demohlm.adoption.adopt import FOUND, NotAdoptedError
@@ -21,6 +21,7 @@ from lerobot_demohlm.checks import lint
 from lerobot_demohlm.cli import adopt_controller, main
 from lerobot_demohlm.cli.verbs import VERBS
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
+from lerobot_demohlm.reproducibility import provenance
 
 
 def _limp(path: Path) -> Path:
@@ -50,6 +51,27 @@ def test_a_worse_controller_changes_nothing_and_is_told_why(tmp_path: Path, caps
     assert before == (_tree(WEIGHTS_FOLDER), _tree(demonstrations.default_root(get_task("LiftBox")).parent))
     (line,) = jsonl.read(tmp_path / "work" / FOUND)
     assert line["check"] == "benchmark"
+
+
+def test_a_benchmark_in_which_nothing_is_measured_falls_short(tmp_path: Path) -> None:
+    found = steps.benchmark(Request(weights=DEFAULT_WEIGHTS, work=tmp_path, num_robots=2, seconds=0.2, num_workers=1))
+    assert any("nothing was measured in 0.2 s" in failure for failure in found.failures)
+
+
+def test_a_task_without_a_success_falls_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise NoSuccessError("no success in 4 attempts (timeout 4)", "one or more", "look at them")
+
+    monkeypatch.setattr(steps, "generate", fail)
+    found = steps.attempt(Request(weights=DEFAULT_WEIGHTS, work=tmp_path, num_attempts=4), "LiftBox")
+    assert "no success in 4 attempts" in found.failures[0]
+
+
+def test_findings_hold_for_the_code_that_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Request(weights=DEFAULT_WEIGHTS, work=tmp_path).key
+    assert Request(weights=DEFAULT_WEIGHTS, work=tmp_path).key == before
+    monkeypatch.setattr(provenance, "checker_hash", lambda: "other")
+    assert Request(weights=DEFAULT_WEIGHTS, work=tmp_path).key != before
 
 
 @pytest.mark.parametrize("content", [b"", b"not a zip", DEFAULT_WEIGHTS.read_bytes()[:2000]])
