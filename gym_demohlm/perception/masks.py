@@ -50,8 +50,13 @@ def oracle(ids: np.ndarray, geoms: Sequence[int] | np.ndarray, rng: np.random.Ge
 
 
 def grey(meshes: Iterable[ObjectMesh]) -> list[str]:
-    """Return the names of objects that ``color`` cannot tell from walls and floors: parts of them are grey or white."""
-    return [mesh.name for mesh in meshes if (np.linalg.norm(_shares(mesh.colors) - 1 / 3, axis=1) < _TOLERANCE).any()]
+    """Return the names of objects with white, grey or black parts, which ``color`` cannot tell from walls."""
+
+    def has_grey(colors: np.ndarray) -> bool:
+        black = np.asarray(colors).sum(axis=1) < 3 * _DARK / 255
+        return bool((black | (np.linalg.norm(_shares(colors) - 1 / 3, axis=1) < _TOLERANCE)).any())
+
+    return [mesh.name for mesh in meshes if has_grey(mesh.colors)]
 
 
 def refuse_grey(meshes: Iterable[ObjectMesh]) -> None:

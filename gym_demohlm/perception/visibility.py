@@ -1,6 +1,6 @@
 """Where camera, hands and objects are -> about how much of each object the camera sees, without drawing.
 
-An object is some points of its shape. A point is seen where it lies in the picture and no hand or forearm, taken as
+An object is some points of its shape. A point is seen where it lies in the picture and no hand, taken as
 spheres, lies on the way to it. Other things that hide an object are left out.
 """
 

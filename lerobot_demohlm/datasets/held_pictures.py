@@ -7,6 +7,7 @@ batch is asked for.
 import logging
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,12 +20,25 @@ SHARE = 0.5
 
 
 def free_bytes() -> float:
-    """Return how much memory is free; infinite where the system does not tell."""
+    """Return how much memory is free, in a container what its limit leaves; infinite where the system does not tell."""
+    return min(_free_of_machine(), _free_of_container())
+
+
+def _free_of_machine() -> float:
     try:
         with open("/proc/meminfo") as file:
             told = dict(line.split(":", 1) for line in file)
         return 1024.0 * float(told["MemAvailable"].split()[0])
     except (OSError, KeyError, ValueError):
+        return math.inf
+
+
+def _free_of_container(folder: Path = Path("/sys/fs/cgroup")) -> float:
+    try:
+        stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        limit, used = (float((folder / name).read_text()) for name in ("memory.max", "memory.current"))
+        return limit - used + float(stat["inactive_file"])  # copies of files, which go when memory is short
+    except (OSError, KeyError, ValueError):  # the limit may be the word "max"
         return math.inf
 
 

@@ -77,23 +77,29 @@ class InMemoryDataset(LeRobotDataset):
 
     Datasets that LeRobot's tools have made of such ones are held, too.
 
-    Samples equal those of ``LeRobotDataset`` with the same arguments. Statistics differ twice: standard deviations have
-    a floor (``STD_FLOOR``), and where some of the episodes are chosen, the statistics are of those, so that a policy
-    trained on the first hundred knows nothing of the others.
+    Samples equal those of ``LeRobotDataset`` with the same arguments. Statistics differ twice, also where pictures do
+    not fit: standard deviations have a floor (``STD_FLOOR``), and where some of the episodes are chosen, the statistics
+    are of those, so that a policy trained on the first hundred knows nothing of the others.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
         """Open it as ``LeRobotDataset`` does, with the same arguments."""
         super().__init__(*args, **kwargs)
-        self.is_held = is_generated(self.root) and fit_in_memory(self)
-        if not self.is_held:
+        self.is_held = False
+        if not is_generated(self.root):
             return
-        table: Any = self.hf_dataset.with_format("arrow")[:]
+        names = [name for name in self.hf_dataset.column_names if name not in self.meta.camera_keys]
+        table: Any = self.hf_dataset.select_columns(names).with_format("arrow")[:]
         missing = sorted(self.meta.features.keys() - set(self.meta.video_keys) - set(table.column_names))
         if missing:
             got, expected = f"{self.root} without the column {missing[0]}", "all that its meta/info.json names"
             raise DatasetError(got, expected, "restore the dataset, or generate it again")
         columns = {name: to_numpy(table.column(name)) for name in table.column_names}
+        self.meta = copy.copy(self.meta)
+        self.meta.stats = _floored(self._stats(columns))
+        self.is_held = fit_in_memory(self)
+        if not self.is_held:
+            return
         self._columns = {name: torch.from_numpy(values.copy()) for name, values in columns.items()}
         self._tasks = list(self.meta.tasks.index)  # pyright: ignore[reportOptionalMemberAccess]
         deltas = self.reader.delta_indices or {}
@@ -104,8 +110,6 @@ class InMemoryDataset(LeRobotDataset):
         stops = lengths.cumsum(0)
         self._starts, self._stops = (stops - lengths)[episode], stops[episode]  # (num_frames,) of each frame's episode
         self._pictures = HeldPictures(self, self._starts, self._stops) if self.meta.video_keys else None
-        self.meta = copy.copy(self.meta)
-        self.meta.stats = _floored(self._stats(columns))
 
     def _stats(self, columns: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
         """Return the statistics of the episodes that were chosen."""
@@ -126,7 +130,8 @@ class InMemoryDataset(LeRobotDataset):
         source = pads.dataset(self.root / "meta" / "episodes", format="parquet")
         names = [name for name in source.schema.names if name.startswith(tuple(prefixes.values()))]
         chosen = source.to_table(columns=names, filter=pads.field("episode_index").isin(list(episodes))).to_pylist()
-        return aggregate_stats(
+        theirs = copy.copy(self.meta)
+        theirs.stats = aggregate_stats(
             [
                 {
                     key: {name.removeprefix(prefix): np.array(row[name]) for name in names if name.startswith(prefix)}
@@ -135,12 +140,15 @@ class InMemoryDataset(LeRobotDataset):
                 for row in chosen
             ]
         )
+        theirs.rescale_depth_stats(self.depth_output_unit)  # as LeRobot does with those of all episodes
+        return theirs.stats
 
     def __getitems__(self, indices: Sequence[int]) -> Sequence[Any]:
         """Return the samples at these indices; what torch's loader asks for where it exists."""
         if not self.is_held:
             return [super(InMemoryDataset, self).__getitem__(index) for index in indices]
         rows = torch.as_tensor(indices)
+        rows = torch.where(rows < 0, rows + len(self), rows)
         batch: dict[str, Any] = {
             name: column[rows] for name, column in self._columns.items() if name not in self._deltas
         }

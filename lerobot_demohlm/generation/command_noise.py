@@ -6,8 +6,8 @@ with pauses between them: a pause is the recovery from the burst before it.
 
 Only the walk, which steers by where the base is measured, is disturbed in full. Hands on their way to an object steer
 too, but beside things that they must not strike: half of the noise. Once they hold it, nothing measures how it lies in
-them, so no plan would make up for its slip: a quarter. There is none about touches, grips and releases
-(``Playback.delicate``), and a robot that stands is not told to step.
+them, so no plan would make up for its slip: a quarter. There is none about touches and about grippers that close or
+open (``Playback.delicate``), and a robot that stands is not told to step.
 """
 
 from collections.abc import Iterator

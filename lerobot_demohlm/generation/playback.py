@@ -141,7 +141,7 @@ class Playback:
 
     @property
     def delicate(self) -> bool:
-        """Whether the last command has to do with a touch, a grip or a release, and is to be executed as planned."""
+        """Whether the last command has to do with a touch or a gripper's switch, and is to be executed as planned."""
         before, after = self.settings.delicate_ticks
         near = any(-before <= self.tick - switch <= after for switch in self._switches)
         return near or self.activity not in ("transit", "follow", "walk on")

@@ -10,16 +10,16 @@ import importlib
 import tempfile
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from tqdm import tqdm
 
 from gym_demohlm.control import controllers
-from gym_demohlm.errors import DatasetError, DemoHLMError
+from gym_demohlm.errors import DatasetError, DemoHLMError, UnknownNameError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
 from gym_demohlm.variation import get_variation
@@ -32,7 +32,7 @@ from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import require_approach, segment
 from lerobot_demohlm.generation.attempt import Attempts
 from lerobot_demohlm.generation.block import write_block
-from lerobot_demohlm.generation.request import GenerationRequest, GenerationSummary
+from lerobot_demohlm.generation.request import Backend, GenerationRequest, GenerationSummary
 from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import Settings
 from lerobot_demohlm.generation.workers import ProcessWorkers, Workers
@@ -166,12 +166,14 @@ class BlockMaker:
         demonstration: The run's demonstration.
         task_module: Name of the module that registers the task.
         controller: Name, path or hash of the whole-body controller.
+        code: Hashes of the code that simulates and generates, where the run was begun or taken up.
     """
 
     facts: GenerationFacts
     demonstration: Demonstration
     task_module: str
     controller: str = controllers.DEFAULT
+    code: str = field(default_factory=lambda: _code())
 
     def __call__(self, directory: Path, attempts: range) -> None:
         """Make attempts and write their block into a run's directory."""
@@ -205,19 +207,16 @@ class BlockMaker:
 
     @functools.cached_property
     def _attempts(self) -> Attempts:
-        found, expected = installed_versions(), self.facts.versions
-        different = [name for name in expected if found.get(name) != expected[name]]
-        if different:
-            name = different[0]
-            raise DatasetError(
-                f"a worker with {name} {found.get(name)}",
-                f"{name} {expected[name]}, as where the run was begun: other bits would come of it",
-                "install the same on all machines, and use one family of processors",
-            )
-        importlib.import_module(self.task_module)
         facts = self.facts
+        _require_same(installed_versions(), facts.versions)
+        importlib.import_module(self.task_module)
+        task = get_task(facts.task)
+        here = _code(), controllers.load(self.controller).hash, perception_fit(task, facts.variation.content())
+        begun = self.code, facts.controller_hash, facts.perception_fit
+        names = "code", "controller", "fit of perception"
+        _require_same(dict(zip(names, here, strict=True)), dict(zip(names, begun, strict=True)))
         return Attempts(
-            get_task(facts.task),
+            task,
             self.demonstration,
             facts.region,
             facts.seed,
@@ -228,9 +227,26 @@ class BlockMaker:
         )
 
 
+def _code() -> str:
+    return f"{provenance.code_hash()} {provenance.generator_hash()}"
+
+
+def _require_same(found: Mapping[str, str], expected: Mapping[str, str]) -> None:
+    """Raise ``DatasetError`` where a worker differs from what its run was begun with."""
+    for name, wanted in expected.items():
+        if found.get(name) != wanted:
+            raise DatasetError(
+                f"a worker with {name} {found.get(name)}",
+                f"{name} {wanted}, as where the run was begun: other bits would come of it",
+                "install the same on all machines, and use one family of processors",
+            )
+
+
 def _workers(maker: BlockMaker, run: GenerationRun, request: GenerationRequest) -> Workers:
     if request.backend == "processes":
         return ProcessWorkers(maker, run.directory, request.num_workers)
+    if request.backend != "ray":
+        raise UnknownNameError("backend", request.backend, get_args(Backend))
     try:
         from lerobot_demohlm.generation.ray_workers import RayWorkers
     except ModuleNotFoundError as error:

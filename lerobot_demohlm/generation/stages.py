@@ -66,7 +66,7 @@ class PlaybackSettings:
         far_up_m: Height above the demonstrated one from which on hands keep clear of their shoulders on the way to a
             thing that is on no table [m]; R1 to R3 do not reach it.
         shoulder_m: Distance that a palm then keeps from its shoulder [m].
-        delicate_ticks: Ticks before and after a touch, a grip or a release in which commands carry no noise.
+        delicate_ticks: Ticks before and after a touch or a switch of a gripper in which commands carry no noise.
     """
 
     transit_speed: float = 0.3

@@ -45,7 +45,9 @@ class ChunkedMLPConfig(PreTrainedConfig):
     std_floor: float = 0.01
     """Smallest standard deviation used for normalisation, in each dimension's own unit (rad, rad/s, m, ...).
 
-    A joint that hardly moves in the data would otherwise turn a deviation of a milliradian into a huge input.
+    A joint that hardly moves in the data would otherwise turn a deviation of a milliradian into a huge input. Less than
+    0.01 has no effect with generated datasets, whose statistics have that floor. LeRobot's trainer takes the statistics
+    of the dataset as they are where a policy goes on being trained (``--policy.path``).
     """
     input_clip: float = 10.0
     """Normalised inputs are clipped to +- this, so that a state far from the data cannot blow up the output."""

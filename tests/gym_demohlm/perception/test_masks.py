@@ -1,12 +1,16 @@
 """Masks: exact, rough at their edges, by colour."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gym_demohlm.errors import SceneError
 from gym_demohlm.perception import masks
+from gym_demohlm.perception.meshes import object_meshes
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.registry import get_task
+from gym_demohlm.scene import build_scene
 from gym_demohlm.simulation import Simulation
 
 
@@ -56,3 +60,10 @@ def test_grey_objects_are_refused_as_colour_does_not_tell_them_from_walls(task: 
     with pytest.raises(SceneError, match=f"parts of {named} that are white.*masks=oracle"):
         eyes.observe(sim, np.arange(1))
     sim.close()
+
+
+def test_black_is_grey() -> None:
+    (mesh,) = object_meshes(build_scene(get_task("PressCube")).model, get_task("PressCube"))
+    assert masks.grey([mesh]) == []
+    for colour in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.05)):  # darker than any pixel that `color` takes
+        assert masks.grey([replace(mesh, colors=np.array([[0.8, 0.2, 0.2], colour]))]) == ["cube"]

@@ -76,16 +76,35 @@ def test_statistics_of_pictures_are_those_of_the_chosen_episodes(drawn: Path) ->
     frames = torch.stack([one[index][RGB] for index in range(len(one))])
     mean = one.meta.stats[RGB]["mean"].ravel()
     np.testing.assert_allclose(mean, frames.mean(dim=(0, 2, 3)), atol=0.02)
+    depths = torch.stack([one[index][DEPTH] for index in range(len(one))])
+    assert float(depths.mean()) > 100.0, "in mm, as LeRobot gives them"
+    np.testing.assert_allclose(one.meta.stats[DEPTH]["mean"].ravel(), depths.mean(), rtol=0.02)
 
 
 def test_pictures_that_do_not_fit_stay_in_their_videos(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = InMemoryDataset("local/name", root=drawn)
     needed = held_pictures.needed_bytes(dataset)
     assert needed == len(dataset) * 32 * 32 * (3 + 2)
+    one = InMemoryDataset("local/name", root=drawn, episodes=[1]).meta.stats
     monkeypatch.setattr(held_pictures, "free_bytes", lambda: needed / held_pictures.SHARE - 1.0)
     small = InMemoryDataset("local/name", root=drawn)
     assert not small.is_held
+    monkeypatch.setattr(held_pictures, "free_bytes", lambda: 0.0)
+    same = InMemoryDataset("local/name", root=drawn, episodes=[1])
+    assert not same.is_held
+    for key, entry in one.items():
+        for name, value in entry.items():
+            np.testing.assert_array_equal(same.meta.stats[key][name], value), "whatever memory is free"
     assert torch.equal(small[3][RGB], dataset[3][RGB])
+
+
+def test_the_limit_of_a_container_counts(tmp_path: Path) -> None:
+    for name, text in (("memory.max", "1000000"), ("memory.current", "600000"), ("memory.stat", "inactive_file 50000")):
+        (tmp_path / name).write_text(text + "\n")
+    assert held_pictures._free_of_container(tmp_path) == 450_000.0
+    (tmp_path / "memory.max").write_text("max\n")
+    assert held_pictures._free_of_container(tmp_path) == float("inf")
+    assert held_pictures._free_of_container(tmp_path / "none") == float("inf")
 
 
 @pytest.mark.slow

@@ -58,6 +58,7 @@ def test_samples_equal_lerobots(policy: str, root: Path) -> None:
     for index, sample in zip(indices, held.__getitems__(indices), strict=True):
         assert_same(sample, reference[index])
     assert_same(held[2], reference[2])
+    assert_same(held[-1], reference[-1])
     for sample, index in zip(held[24:28], range(24, 28), strict=True):
         assert_same(sample, reference[index])
 

@@ -7,17 +7,21 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from gym_demohlm.errors import DatasetError, DemoHLMError
+from gym_demohlm.control import controllers
+from gym_demohlm.errors import DatasetError, DemoHLMError, UnknownNameError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.demonstrations import demonstration
 from lerobot_demohlm.generation.block import write_block
+from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.run import GenerationRun
-from lerobot_demohlm.generation.runner import BlockMaker, make_blocks
+from lerobot_demohlm.generation.runner import BlockMaker, generate, make_blocks
 from lerobot_demohlm.generation.workers import Done, Make, ProcessWorkers
+from lerobot_demohlm.reproducibility import provenance
 from tests.helpers import makes
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.synthetic import make_episode, make_facts
@@ -183,6 +187,26 @@ def test_a_worker_of_another_installation_is_refused(tmp_path: Path) -> None:
     maker = BlockMaker(facts=facts, demonstration=lift_box, task_module=get_task("LiftBox").module)
     with pytest.raises(DatasetError, match=r"a worker with mujoco 3.*mujoco 2\.0"):
         maker(tmp_path, range(4))
+
+
+@pytest.mark.parametrize("changed", ["code", "controller"])
+def test_a_worker_with_other_code_or_another_controller_is_refused(
+    changed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an update of the package in the midst of a run, when a worker dies and another takes its place."""
+    facts = make_facts(controller_hash=controllers.load().hash if changed == "code" else "0" * 64)
+    lift_box = demonstration.load(task=get_task("LiftBox"))
+    maker = BlockMaker(facts=facts, demonstration=lift_box, task_module=get_task("LiftBox").module)
+    if changed == "code":
+        monkeypatch.setattr(provenance, "generator_hash", lambda: "other")
+    with pytest.raises(DatasetError, match=f"a worker with {changed} "):
+        maker(tmp_path, range(4))
+
+
+def test_an_unknown_backend_is_refused(tmp_path: Path) -> None:
+    request = GenerationRequest(task="LiftBox", region="R1", seed=5, root=tmp_path / "data", num_attempts=1)
+    with pytest.raises(UnknownNameError, match="backend"):
+        generate(replace(request, backend="process"))  # pyright: ignore[reportArgumentType]
 
 
 def _lives(pid: int) -> bool:
