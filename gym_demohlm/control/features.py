@@ -137,6 +137,11 @@ def mirror(values: np.ndarray, table: tuple[np.ndarray, np.ndarray]) -> np.ndarr
     return values[:, source] * sign
 
 
+def no_mirror(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return source and sign of numbers that stay as they are: of a policy that was trained without the mirror."""
+    return np.arange(size), np.ones(size, dtype=np.float32)
+
+
 def first_inputs(table: tuple[np.ndarray, np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the mirror of the first inputs of an observation: of an earlier format, see ``OBSERVATION_SIZES``."""
     source, sign = table

@@ -371,6 +371,25 @@ class Reference:
         return further
 
 
+class Rest(Reference):
+    """The pose of rest whatever the command: what a policy corrects that was trained without a reference."""
+
+    def pose(
+        self,
+        command: np.ndarray,
+        clock: gait_clock.Clock,
+        velocity: np.ndarray,
+        moment: np.ndarray,
+        attitude_now: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the joint positions at rest; arguments as in the base class."""
+        return np.tile(g1.HOME[:NUM_LOWER], (len(command), 1))
+
+    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Return that it aims no further; arguments as in the base class."""
+        return np.zeros((len(command), NUM_LOWER))
+
+
 def _unplanned(attitude_now: np.ndarray | None, tilt: np.ndarray, bank: np.ndarray) -> np.ndarray:
     """Return how pitch and roll of a pelvis (N, 4) differ from those planned, bounded, and their rates, (N, 4)."""
     if attitude_now is None:

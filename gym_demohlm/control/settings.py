@@ -68,10 +68,11 @@ class Gait:
     capture: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check what would divide by zero or index wrongly.
+        """Check what would divide by zero, index wrongly, cross the feet or put them under the floor.
 
         Raises:
-            SceneError: What is no finite number, a period, swing or recovery out of range, or another number of them.
+            SceneError: What is no finite number, a period, swing, lift, spread or recovery out of range, or another
+                number of them.
         """
         for entry in fields(self):
             value, count = getattr(self, entry.name), {"turn": NUM_TURN, "capture": 3}.get(entry.name)
@@ -87,6 +88,9 @@ class Gait:
         if not (self.period_s > 0.1 and 0.05 < self.swing < 0.5 and len(self.turn) == NUM_TURN):
             got = f"a gait of period {self.period_s} s, swing {self.swing}, {len(self.turn)} coefficients of turning"
             raise SceneError(got, f"more than 0.1 s, 0.05 to 0.5, {NUM_TURN}", "check the file it was read from")
+        if not (0.0 <= self.lift <= 0.5 and 0.0 < self.spread <= 0.5 and 0.0 < self.recovery_spread <= 0.5):
+            got = f"a gait with lift {self.lift} m, spread {self.spread} m, recovery_spread {self.recovery_spread} m"
+            raise SceneError(got, "0 to 0.5 m, and both spreads above 0", "check the file it was read from")
         if not (self.recovery_period_s > 0.1 and self.recovery_s >= 0.0 and self.recovery_speed > 0.0):
             got = f"a recovery of {self.recovery_s} s, {self.recovery_speed} m/s, period {self.recovery_period_s} s"
             raise SceneError(got, "0 or more, above 0, more than 0.1 s", "check the file it was read from")
@@ -207,6 +211,9 @@ def _of_joints(values: Mapping[str, float], default: tuple[float, ...]) -> tuple
 
 def _read[T](kind: type[T], values: Mapping[str, Any], name: str) -> T:
     """Build a dataclass from what JSON holds, lists as tuples."""
+    if not isinstance(values, Mapping):
+        got = f"{name} settings {values!r}"
+        raise SceneError(got, "a JSON object of names and values", "check the file they were read from")
     known = {entry.name for entry in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(values) - known:
         raise SceneError(

@@ -45,6 +45,8 @@ class Weights:
     Attributes:
         metadata: How it was trained and what it expects.
         settings: What it is besides its network.
+        symmetric: Whether it was trained as the mean of itself and its mirror image.
+        use_reference: Whether it corrects the reference pose; otherwise that of rest.
         hash: SHA-256 of the file.
 
     Raises:
@@ -54,6 +56,8 @@ class Weights:
     def __init__(self, path: Path = DEFAULT_WEIGHTS) -> None:
         content, self.metadata, arrays = read_arrays(path)
         self.settings = Settings.read(self.metadata)
+        self.symmetric: bool = self.metadata.get("symmetric", True)
+        self.use_reference: bool = self.metadata.get("use_reference", True)
         self.layers = [
             (ExactProduct(arrays[f"weight_{i}"], _LARGEST_HIDDEN if i else _LARGEST_INPUT), arrays[f"bias_{i}"])
             for i in range(int(self.metadata["layers"]))
@@ -64,7 +68,8 @@ class Weights:
 
     def make_reference(self) -> reference.Reference:
         """Return the reference pose that the policy corrects."""
-        return reference.Reference(*self._tables, self.settings.gait)
+        kind = reference.Reference if self.use_reference else reference.Rest
+        return kind(*self._tables, self.settings.gait)
 
 
 def read_arrays(path: Path) -> tuple[bytes, dict[str, Any], dict[str, np.ndarray]]:
@@ -137,6 +142,9 @@ class WholeBodyController:
         self.state = np.zeros((num_worlds, STATE_SIZE))
         self._lower, self._upper = np.ascontiguousarray(g1.joint_ranges(g1.read_mjcf()).T)
         self._numbers = kernels.Numbers.of(self.reference, self.settings)
+        self._mirrors = features.OBSERVATION_MIRROR, features.ACTION_MIRROR
+        if not self.weights.symmetric:
+            self._mirrors = features.no_mirror(features.OBSERVATION_SIZE), features.no_mirror(features.ACTION_SIZE)
 
     @property
     def settings(self) -> Settings:
@@ -213,10 +221,10 @@ class WholeBodyController:
         return targets
 
     def _act(self, observed: np.ndarray) -> np.ndarray:
-        """Return the symmetric policy's mean action within its limit, (M, OBSERVATION_SIZE) -> (M, 15)."""
-        weights, limit = self.weights, features.ACTION_LIMIT
+        """Return the policy's mean action within its limit, (M, OBSERVATION_SIZE) -> (M, 15)."""
+        weights, limit, (seen, acted) = self.weights, features.ACTION_LIMIT, self._mirrors
         first, inputs = weights.layers[0][0], len(weights.mean)
-        source, sign = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
+        source, sign = features.first_inputs(seen, inputs)
         hidden = np.empty((2 * len(observed), inputs))
         network.enter(observed, weights.mean, weights.scale, source, sign, first.row_step, first.bound, hidden)
         for (product, bias), (following, _) in pairwise(weights.layers):
@@ -224,5 +232,5 @@ class WholeBodyController:
             network.activate(hidden, bias, following.row_step, following.bound)
         product, bias = weights.layers[-1]
         action = np.empty((len(observed), features.ACTION_SIZE))
-        network.leave(product.of_steps(hidden), bias, *features.ACTION_MIRROR, limit, action)
+        network.leave(product.of_steps(hidden), bias, *acted, limit, action)
         return action

@@ -22,8 +22,10 @@ class Options:
         device: Physics and learning on the CPU (mujoco.rollout) or on a GPU (mujoco_warp).
         num_processes: With --device cpu, processes that share 512 worlds, one a core.
         resume: Go on from the last checkpoint.
-        polish: Learn slowly and explore little, for the last part of a run.
-        noise: Standard deviation of exploring actions, held constant; half of it in the hip-yaw joints.
+        polish: Learn slowly and explore little, for the last part of a run, with --resume. Not with --warm-start, after
+            which a run does so anyway.
+        noise: Standard deviation of exploring actions, held from the second iteration on; half of it in the hip-yaw
+            joints.
         max_steps: Control steps of the whole run after which it ends.
         evaluate_every: Iterations between evaluations.
         warm_start: Exported weights that the actor goes on from. The critic begins afresh.

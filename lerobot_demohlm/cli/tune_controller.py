@@ -30,10 +30,12 @@ def run(options: Options) -> None:
     from gym_demohlm.control import controllers
     from gym_demohlm.control.whole_body import Weights
 
-    options.output.parent.mkdir(parents=True, exist_ok=True)
     gait = dict(map(_parse, options.gait))
+    weights = controllers.find(options.controller)
+    Weights(weights)  # a damaged file is not the fault of --gait
+    options.output.parent.mkdir(parents=True, exist_ok=True)
     try:
-        controllers.tune(controllers.find(options.controller), options.output, gait)
+        controllers.tune(weights, options.output, gait)
     except SceneError as error:
         raise SceneError(error.got, error.expected, "correct --gait") from error
     print(json.dumps({"weights": str(options.output), "hash": Weights(options.output).hash}))

@@ -138,7 +138,7 @@ def _ablations(lines: Sequence[Measurement]) -> str:
             clear = row["low"] > 0 or row["high"] < 0
             cells.append(f"**{_cell(row['new'], name)}**" if clear else _cell(row["new"], name))
         rows.append([line["controller"], *cells])
-    title = f"**`{first['beside']}` with a part of its settings as it was at first**, not trained again"
+    title = f"**`{first['beside']}` without a part of its settings, or with it as it was at first**, not trained again"
     note = f"{_size(first)} Bold: the 95 % interval of the difference, paired by robots, leaves out zero."
     return f"{title}\n\n{markdown(['', *map(_title, _ABLATED)], rows)}\n\n{note}"
 

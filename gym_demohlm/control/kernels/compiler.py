@@ -2,8 +2,8 @@
 
 The cache lies beside the source files, in the user's cache where these may not be written, or where NUMBA_CACHE_DIR
 says. Where nothing may be written, every process compiles anew. Numba looks only at the file of the function itself
-to see whether its code is still the same; here the name in the cache ends in a digest of all kernels and of the
-constants that are compiled into them, wherever those come from.
+to see whether its code is still the same; here the name in the cache ends in a digest of all kernels, of
+``arithmetic``, whose functions they call, and of the constants that are compiled into them, wherever those come from.
 """
 
 import hashlib
@@ -15,14 +15,16 @@ from typing import Any, cast
 import numba
 import numpy as np
 
+from gym_demohlm import arithmetic
+
 _PACKAGE = __name__.rpartition(".")[0]
 
 
 def digest(package: str = _PACKAGE) -> str:
-    """Return letters that change with the source and the constants of any module of a package that is imported."""
+    """Return letters that change with source and constants of ``arithmetic`` and of a package's imported modules."""
     found = hashlib.sha256()
     for name, module in sorted(sys.modules.items()):
-        if name.startswith(f"{package}.") and module.__file__:
+        if (name.startswith(f"{package}.") or module is arithmetic) and module.__file__:
             found.update(Path(module.__file__).read_bytes())
             for key, value in sorted(vars(module).items()):
                 if isinstance(value, int | float | tuple | np.ndarray) and not key.startswith("__"):

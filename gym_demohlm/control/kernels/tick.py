@@ -13,6 +13,7 @@ from gym_demohlm.control.kernels.legs import odometry_estimate
 from gym_demohlm.control.kernels.postures import balanced, capture_point, clip, copy, gravity, in_torso, roll_pitch
 from gym_demohlm.control.odometry import FILTER
 from gym_demohlm.control.settings import Settings
+from gym_demohlm.robot import g1
 from gym_demohlm.timing import CONTROL_DT
 
 _FRAME, _HISTORY, _LEGS, _LOWER = features.FRAME_SIZE, tick.HISTORY_SIZE, tick.LEGS, reference.NUM_LOWER
@@ -29,6 +30,7 @@ _COMMAND_SCALE, _COMMAND_OFFSET = features.COMMAND_SCALE, features.COMMAND_OFFSE
 _STARTLE_SPEED, _STARTLE_TILT = gait_clock.STARTLE_SPEED, gait_clock.STARTLE_TILT
 _SOLE_MIDDLE, _GRAVITY = reference.SOLE_MIDDLE, reference.GRAVITY
 _COMMAND = 7
+_HOME = g1.HOME[:_LOWER]
 _MAP_INDEX, _MAP_CENTRE, _MAP_SCALE = velocity_map.INDEX, velocity_map.CENTRE, velocity_map.SCALE
 _MAP_BOUND, _MAP_LARGEST, _MAP_TERMS = velocity_map.BOUND, velocity_map.LARGEST, velocity_map.TERMS
 
@@ -45,6 +47,7 @@ class Numbers(NamedTuple):
     trim_rate: float
     trim_fade: float
     trim_limits: np.ndarray
+    use_reference: bool
 
     @classmethod
     def of(cls, pose: reference.Reference, settings: Settings) -> "Numbers":
@@ -66,6 +69,7 @@ class Numbers(NamedTuple):
             trim_rate=settings.trim.rate * CONTROL_DT,
             trim_fade=1 - settings.trim.fade * CONTROL_DT,
             trim_limits=np.array(settings.trim.limits, dtype=np.float64),
+            use_reference=not isinstance(pose, reference.Rest),
         )
 
 
@@ -233,9 +237,12 @@ def targets(numbers, after, told, attitude, action, lower, upper, out):
         now = after[world]
         copy(action[world], now[_ACTION:_SLEWED])
         standing = now[_CLOCK + 2] > 0.5
-        reference_targets(
-            numbers.table, numbers.load, numbers.gait, told[world], now[_CLOCK], now[_CLOCK + 1], standing,
-            max(-now[_CLOCK + 2], 0.0), now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM], attitude[world],
-            out[world],
-        )  # fmt: skip
+        if numbers.use_reference:
+            reference_targets(
+                numbers.table, numbers.load, numbers.gait, told[world], now[_CLOCK], now[_CLOCK + 1], standing,
+                max(-now[_CLOCK + 2], 0.0), now[_VELOCITY:_ARMS], now[_ARMS:_CARRIED], now[_CARRIED:_TRIM],
+                attitude[world], out[world],
+            )  # fmt: skip
+        else:
+            copy(_HOME, out[world, :_LOWER])
         act(action[world], standing, now[_SLEWED + 3 : _CLOCK], lower, upper, out[world])

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from gym_demohlm.control import command, controllers, velocity_map
-from gym_demohlm.control.whole_body import Weights
+from gym_demohlm.control.proprioception import Proprioception
+from gym_demohlm.control.whole_body import Weights, WholeBodyController
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.timing import STEP_DT
 from gym_demohlm.wbc.evaluation.cycle import CycleMean
-from gym_demohlm.wbc.evaluation.trial import trial_simulation
+from gym_demohlm.wbc.evaluation.trial import trial_task
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 
 _NUM_ROBOTS, _SETTLE_S, _LOOK_S = 384, 3.0, 4.0
@@ -26,7 +27,7 @@ class Walked(NamedTuple):
     """What robots that did not fall were told, and what they did on average.
 
     Attributes:
-        told: (N, 7) commands.
+        told: (N, 7) commands, as the controller got them.
         velocity: (N, 2) forward and sideways in the heading frame [m/s].
         up: Share of the robots that did not fall.
     """
@@ -36,31 +37,59 @@ class Walked(NamedTuple):
     up: float
 
 
-def walk(simulation: Simulation, period_s: float, seed: int = 0, beyond: float = _BEYOND) -> Walked:
-    """Let every robot walk with one command, drawn from the whole range.
+class _FurtherController(WholeBodyController):
+    """A controller that gets several times the commanded velocity: a simulation keeps commands within their range.
 
     Args:
-        simulation: Of ``trial_task``; reset here.
-        period_s: Of the controller's gait [s].
+        num_worlds: N.
+        weights: As in ``WholeBodyController``.
+        beyond: The factor.
+    """
+
+    def __init__(self, num_worlds: int, weights: Path, beyond: float) -> None:
+        super().__init__(num_worlds, weights)
+        self._beyond = beyond
+
+    def step(self, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray:
+        """Advance by a tick; arguments as in the base class."""
+        return super().step(sensed, _further(commands, self._beyond), worlds)
+
+
+def _further(commands: np.ndarray, beyond: float) -> np.ndarray:
+    """Return commands (N, 23) with their velocities times a factor."""
+    found = commands.copy()
+    found[:, command.VELOCITY] *= beyond
+    return found
+
+
+def walk(weights: Path, num_robots: int, seed: int = 0, beyond: float = _BEYOND) -> Walked:
+    """Let every robot walk with one command, drawn from the whole range, on the deployment model.
+
+    Args:
+        weights: Of the controller.
+        num_robots: N.
         seed: Of the commands.
         beyond: Factor on the range of velocities.
     """
-    rng, n, ranges = np.random.default_rng(seed), simulation.num_worlds, CommandRange()
+    rng, n, ranges = np.random.default_rng(seed), num_robots, CommandRange()
+    controller = _FurtherController(n, weights, beyond)
+    simulation = Simulation(trial_task(), n, controller=controller)
     commands = np.tile(command.rest(), (n, 1))
-    drawn = (ranges.forward, ranges.sideways, ranges.yaw_rate)
-    velocities = [rng.uniform(beyond * low, beyond * high, n) for low, high in drawn]
+    velocities = [rng.uniform(*limits, n) for limits in (ranges.forward, ranges.sideways, ranges.yaw_rate)]
     commands[:, command.VELOCITY] = np.stack(velocities, axis=1)
     commands[:, command.HEIGHT] = rng.uniform(*ranges.walking_height, n)
     commands[:, command.PITCH] = rng.uniform(*ranges.walking_pitch, n)
     simulation.reset([simulation.task.default_state()] * n)
-    cycle, means = CycleMean(simulation, period_s), []
+    cycle, means = CycleMean(simulation, controller.cycle_s), []
     for step in range(round((_SETTLE_S + _LOOK_S) / STEP_DT)):
         simulation.step(commands)
         cycle.add()
         if step * STEP_DT >= _SETTLE_S:
             means.append(cycle.mean()[:, :2])
     up = ~simulation.fallen()
-    return Walked(told=commands[up, :7], velocity=np.mean(means, axis=0)[up], up=float(up.mean()))
+    simulation.close()
+    told = _further(commands, beyond)[up, :7]
+    return Walked(told=told, velocity=np.mean(means, axis=0)[up], up=float(up.mean()))
 
 
 def calibrate(weights: Path, output: Path) -> None:
@@ -78,9 +107,7 @@ def calibrate(weights: Path, output: Path) -> None:
     plain = output.with_suffix(".plain.npz")
     _write(weights, plain, ())
     try:
-        simulation = trial_simulation(_NUM_ROBOTS, weights=plain)
-        found = walk(simulation, Weights(plain).settings.gait.period_s)
-        simulation.close()
+        found = walk(plain, _NUM_ROBOTS)
         rows: tuple[tuple[float, ...], ...] = ()
         if found.up >= _LEAST_UP:
             rows = tuple(tuple(np.round(row, 6).tolist()) for row in velocity_map.fit(found.told, found.velocity))

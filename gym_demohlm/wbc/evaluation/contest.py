@@ -130,7 +130,8 @@ ABLATIONS: dict[str, Callable[[Settings], Settings]] = {
     "spread": lambda own: _walking(own, spread=Gait.spread),
     "placement": lambda own: _walking(own, placement_s=Gait.placement_s),
 }
-"""Part of the settings of ``control.settings`` -> a controller's settings with that part as it was at first."""
+"""Part of the settings of ``control.settings`` -> a controller's settings with that part as it was at first, or without
+the trim, which the first controller has, too."""
 
 
 def _walking(own: Settings, **changed: Any) -> Settings:  # noqa: ANN401

@@ -255,7 +255,8 @@ class Trials:
 
     Attributes:
         plain: Without pushes.
-        pushed: The same commands, with pushes.
+        pushed: With pushes and the same loads. Commands are drawn alike, but are others from the first push on: both
+            come from one generator.
         light: Velocities only, empty hands, without pushes.
         loads: Masses in the left and right hand of each group of the first two [kg].
     """

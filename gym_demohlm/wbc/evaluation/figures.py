@@ -240,12 +240,14 @@ def draw_comparison(runs: Sequence[Path], path: Path) -> None:
     """Draw training runs over one another, as the deployment model sees them, one colour a run.
 
     Args:
-        runs: Their folders, whose names are the labels.
+        runs: Their folders, whose names are the labels; as many as there are colours.
         path: A ``.png`` file.
 
     Raises:
-        SceneError: A folder holds no evaluations.
+        SceneError: More runs than that, or a folder that holds no evaluations.
     """
+    if len(runs) > len(_RUNS):
+        raise SceneError(f"{len(runs)} runs", f"at most {len(_RUNS)}, one colour each", "draw several figures")
     panels = {
         "survival": "no fall in 8 s [%]",
         "walking/linear_velocity": "velocity error, walking [m/s]",
@@ -253,7 +255,7 @@ def draw_comparison(runs: Sequence[Path], path: Path) -> None:
     }
     figure = Figure(figsize=(12, 4), layout="constrained")
     grid = figure.subplots(1, len(panels))
-    for run, color in zip(runs, _RUNS, strict=False):
+    for run, color in zip(runs, _RUNS[: len(runs)], strict=True):
         lines = _read_lines(run / "evaluation.jsonl")
         if not lines:
             got = f"no evaluation.jsonl in {run}"

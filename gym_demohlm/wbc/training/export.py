@@ -14,6 +14,7 @@ from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.whole_body import WEIGHTS_FORMAT, read_arrays
 from gym_demohlm.errors import SceneError
 from gym_demohlm.timing import CONTROL_DT
+from gym_demohlm.wbc.training.mirror_model import MirrorModel
 
 _SEEN = 30_000_000  # samples that the normaliser of imported weights is taken to have seen
 
@@ -52,8 +53,8 @@ def export_weights(
     """Write the actor.
 
     Args:
-        actor: The symmetric actor with its normaliser.
-        pose: The reference, for its quasi-static tables.
+        actor: The actor with its normaliser.
+        pose: The reference that it corrects, for its quasi-static tables.
         settings: Gait, slew and trim at run time.
         path: Of the file to write, replaced at once.
         facts: How it was trained, kept in the metadata.
@@ -78,6 +79,8 @@ def export_weights(
         "action_scale": features.ACTION_SCALE.tolist(),
         "driven_joints": list(features.DRIVEN_JOINTS),
         "control_dt_s": CONTROL_DT,
+        "symmetric": cast(MirrorModel, actor).symmetric,
+        "use_reference": not isinstance(pose, reference.Rest),
         **settings.metadata(),
         **facts,
     }

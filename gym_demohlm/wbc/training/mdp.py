@@ -13,7 +13,6 @@ import numpy as np
 from gym_demohlm.control import attitude, features, gait_clock, reference
 from gym_demohlm.control.settings import UNTRIMMED, Gait, Settings
 from gym_demohlm.control.tick import STATE_SIZE, Sensors, Situation, Tick
-from gym_demohlm.robot import g1
 from gym_demohlm.robot.physics import PHYSICS, Physics
 from gym_demohlm.timing import CONTROL_DT
 from gym_demohlm.wbc.training import rewards
@@ -103,23 +102,6 @@ class MdpConfig:
         return Settings(gait=self.gait, physics=self.physics)
 
 
-class _Rest(reference.Reference):
-    """The pose of rest whatever the command: training without a reference, to see what the reference is worth."""
-
-    def pose(
-        self,
-        command: np.ndarray,
-        clock: gait_clock.Clock,
-        velocity: np.ndarray,
-        moment: np.ndarray,
-        attitude_now: np.ndarray | None = None,
-    ) -> np.ndarray:
-        return np.tile(g1.HOME[: reference.NUM_LOWER], (len(command), 1))
-
-    def sag(self, command: np.ndarray, phase: np.ndarray, standing: np.ndarray, moment: np.ndarray) -> np.ndarray:
-        return np.zeros((len(command), reference.NUM_LOWER))
-
-
 class WholeBodyMdp:
     """N robots learning to follow commands.
 
@@ -156,7 +138,7 @@ class WholeBodyMdp:
         joints = [self.model.joint(f"{joint}_joint") for joint in features.OBSERVED_JOINTS]
         ranges = np.array([joint.range for joint in joints])
         self._lower, self._upper = ranges[:, 0], ranges[:, 1]
-        self.reference = (reference.Reference if config.use_reference else _Rest)(*tables(), config.gait)
+        self.reference = (reference.Reference if config.use_reference else reference.Rest)(*tables(), config.gait)
         self._tick = Tick(self.reference, Settings(gait=config.gait, trim=UNTRIMMED))
         self.commands = CommandSampler(n, self.rng)
         self.level = self.push_level = 0.0

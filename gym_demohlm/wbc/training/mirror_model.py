@@ -23,6 +23,9 @@ class MirrorModel(MLPModel):
     Args:
         obs, obs_groups, obs_set, output_dim, kwargs: As in rsl_rl.
         symmetric: False gives the plain network, to see what the symmetry is worth.
+
+    Attributes:
+        symmetric: The same.
     """
 
     _seen_source: torch.Tensor
@@ -41,7 +44,7 @@ class MirrorModel(MLPModel):
     ) -> None:
         super().__init__(obs, obs_groups, obs_set, output_dim, **kwargs)
         self._samples: list[torch.Tensor] = []
-        self._symmetric = symmetric
+        self.symmetric = symmetric
         seen = features.OBSERVATION_MIRROR if obs_set == "actor" else CRITIC_MIRROR
         self.register_buffer("_seen_source", torch.as_tensor(seen[0]))
         self.register_buffer("_seen_sign", torch.as_tensor(seen[1]))
@@ -69,7 +72,7 @@ class MirrorModel(MLPModel):
     ) -> torch.Tensor:
         """Return the mean of the action, a sample of it, or the value; arguments as in rsl_rl."""
         latent = self.obs_normalizer(self._observed(obs)).clamp(-6.0, 6.0)
-        if self._symmetric:
+        if self.symmetric:
             plain, mirrored = self.mlp(torch.cat([latent, self._mirrored(latent)])).chunk(2)
             output = 0.5 * (plain + mirrored[..., self._out_source] * self._out_sign)
         else:

@@ -5,6 +5,7 @@
 must end small.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -350,16 +351,20 @@ def parse(text: str) -> tuple[str, float]:
     """Return name and weight of ``NAME=WEIGHT``.
 
     Raises:
-        SceneError: It is not of that form.
+        SceneError: It is not of that form, or the weight is not finite.
         UnknownNameError: There is no such term.
     """
     name, _, weight = text.partition("=")
     if name not in REWARDS:
         raise UnknownNameError("reward", name, REWARDS)
     try:
-        return name, float(weight)
+        value = float(weight)
     except ValueError:
-        raise SceneError(f"the reward {text!r}", "NAME=WEIGHT", f"for example {name}={REWARDS[name].weight}") from None
+        value = math.nan
+    if not math.isfinite(value):
+        expected = "NAME=WEIGHT with a finite number"
+        raise SceneError(f"the reward {text!r}", expected, f"for example {name}={REWARDS[name].weight}")
+    return name, value
 
 
 def total(outcome: Outcome, table: Mapping[str, RewardTerm]) -> tuple[np.ndarray, dict[str, float]]:

@@ -7,6 +7,7 @@ With ``--device cuda`` one process steps many more worlds and learns from them o
 
 import json
 import os
+import pickle
 import shutil
 import signal
 import tempfile
@@ -19,10 +20,12 @@ import numpy as np
 import torch
 import torch.distributed as dist
 from rsl_rl.runners import OnPolicyRunner
-from torch.multiprocessing.spawn import ProcessContext, start_processes
+from torch.multiprocessing.spawn import ProcessContext, ProcessRaisedException, start_processes
 
+from gym_demohlm import jsonl
 from gym_demohlm.control import features
-from gym_demohlm.errors import SceneError
+from gym_demohlm.control.whole_body import read_arrays
+from gym_demohlm.errors import DemoHLMError, SceneError
 from gym_demohlm.wbc.training.export import export_weights, import_weights
 from gym_demohlm.wbc.training.mirror_model import MirrorModel
 from gym_demohlm.wbc.training.train_config import TrainConfig, ppo_config
@@ -30,11 +33,13 @@ from gym_demohlm.wbc.training.vec_env import MdpVecEnv
 
 _SMALLEST_LOG_NOISE = -2.5
 POLISHING_NOISE = 0.12
+_ERROR = "error"  # file in which a process tells the others' parent what it raised
 _QUIET_JOINTS = np.array([0.5 if "hip_yaw" in joint else 1.0 for joint in features.DRIVEN_JOINTS])  # share of the noise
 _FREE = (  # what may differ where a run is resumed
     *("mdp", "num_worlds", "num_threads", "warp_device", "num_processes", "device"),
     *("max_steps", "save_every", "evaluate_every", "keep_every"),
 )
+_LATER = ("polish", "largest_noise", "held_noise")  # what may, and is kept in changes.jsonl
 _CRITIC_RATE = 1e-3  # learning rate of a critic that begins after the actor
 
 
@@ -52,74 +57,116 @@ class Progress:
 def train(output: Path, config: TrainConfig, *, hours: float, resume: bool = False) -> None:
     """Train for a while, writing ``checkpoint.pt``, ``weights.npz`` and ``log.jsonl``; SIGTERM and Ctrl-C save first.
 
+    A run that comes to its end calibrates its last weights; one that is stopped leaves ``calibrated.npz`` as it was.
+
     Args:
         output: Folder of the run.
         config: Of the run.
         hours: Wall-clock time.
-        resume: Go on from ``checkpoint.pt``. Processes, device, the end and how often it is saved may be others.
+        resume: Go on from ``checkpoint.pt``. Processes, device, the end and how often it is saved may be others, and
+            so may exploration and polish, which ``changes.jsonl`` keeps.
 
     Raises:
-        SceneError: ``resume`` without a checkpoint or with another configuration, or a run that exists already without
-            ``resume``.
+        SceneError: ``resume`` without a checkpoint or with another configuration, a run that exists already without
+            ``resume``, or weights to start from that cannot be read.
     """
     checkpoint = output / "checkpoint.pt"
     if resume != checkpoint.exists():
         got = "no checkpoint" if resume else "a run that exists already"
         raise SceneError(f"{got} in {output}", "a fresh folder, or a run to resume", "change --output or --resume")
+    if config.warm_start is not None and not resume:
+        read_arrays(config.warm_start)  # here, where an error has cost nothing yet
     output.mkdir(parents=True, exist_ok=True)
-    _require_same(output / "config.json", config)
+    _keep(output, config, resume)
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        _start(output, config, hours)
+        ended = _start(output, config, hours)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if ended:
+        _calibrate(output)
 
 
-def _require_same(path: Path, config: TrainConfig) -> None:
-    """Write what decides a training, or compare it with what was written; runs of earlier versions have no such file.
+def _keep(output: Path, config: TrainConfig, resume: bool) -> None:
+    """Write what decides a training, and what a resumed one changes; runs of earlier versions have no such file.
 
     Raises:
-        SceneError: It is another.
+        SceneError: A run is resumed with what may not be another.
     """
+    path = output / "config.json"
     rewards = {name: (term.weight, term.scale) for name, term in config.mdp.reward_table.items()}
     content = {**vars(config.mdp), **vars(config), "reward_table": rewards}
     now = {name: str(value) for name, value in content.items() if name not in _FREE}
-    if not path.exists():
-        path.write_text(json.dumps(now, indent=2) + "\n")
-        return
-    then = json.loads(path.read_text())
-    for name in sorted(then.keys() | now.keys()):
-        if then.get(name) != now.get(name):
-            raise SceneError(
-                f"a run in {path.parent} that began with {name}={then.get(name)}",
-                f"{now.get(name)}, as asked for now",
-                "resume it with the same options, or choose another --output",
-            )
+    if resume and path.exists():
+        then = json.loads(path.read_text())
+        changed = [name for name in sorted(then.keys() | now.keys()) if then.get(name) != now.get(name)]
+        for name in changed:
+            if name not in _LATER:
+                raise SceneError(
+                    f"a run in {output} that began with {name}={then.get(name)}",
+                    f"{now.get(name)}, as asked for now",
+                    "resume it with the same options, or choose another --output",
+                )
+        if changed:
+            progress = torch.load(output / "checkpoint.pt", weights_only=True, map_location="cpu")["progress"]
+            values = {name: [then.get(name), now[name]] for name in changed}
+            jsonl.append(output / "changes.jsonl", [{"steps": progress["steps"], **values}])
+    path.write_text(json.dumps(now, indent=2) + "\n")
 
 
-def _start(output: Path, config: TrainConfig, hours: float) -> None:
-    """Train in this process or in several."""
+def _start(output: Path, config: TrainConfig, hours: float) -> bool:
+    """Train in this process or in several; returns whether the run came to its end, rather than being stopped.
+
+    Raises:
+        DemoHLMError: As it was raised in one of them.
+    """
+    stopping: list[int] = []
     if config.num_processes == 1:
         try:
-            _work(0, output, config, hours, "")
+            _work(0, output, config, hours, "", stopping)
         finally:
             torch.set_flush_denormal(False)  # of this process, whatever it does next
-        return
+        return not stopping
     with tempfile.TemporaryDirectory() as meeting:
-        arguments = (output, config, hours, f"file://{meeting}/store")
         context = cast(
             ProcessContext,
-            start_processes(_work, arguments, config.num_processes, join=False, start_method="spawn"),
+            start_processes(
+                _join, (output, config, hours, meeting), config.num_processes, join=False, start_method="spawn"
+            ),
         )
+
+        def stop(received: int, _: object) -> None:
+            stopping.append(received)
+            for pid in context.pids():
+                os.kill(cast(int, pid), signal.SIGTERM)
+
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: [os.kill(cast(int, pid), signal.SIGTERM) for pid in context.pids()])
-        while not context.join():
-            pass
+            signal.signal(number, stop)
+        try:
+            while not context.join():
+                pass
+        except ProcessRaisedException:
+            error = Path(meeting) / _ERROR
+            if not error.exists():
+                raise
+            raise pickle.loads(error.read_bytes()) from None
+    return not stopping
 
 
-def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: str) -> None:
-    """Be one of the processes; rank 0 writes."""
+def _join(rank: int, output: Path, config: TrainConfig, hours: float, meeting: str) -> None:
+    """Be one of several processes; an error that a user can cause is left in the folder where they meet."""
+    try:
+        _work(rank, output, config, hours, f"file://{meeting}/store", [])
+    except DemoHLMError as error:
+        partial = Path(meeting) / f"{_ERROR}.{rank}"
+        partial.write_bytes(pickle.dumps(error))
+        partial.replace(Path(meeting) / _ERROR)
+        raise
+
+
+def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: str, stopping: list[int]) -> None:
+    """Be one of the processes; rank 0 writes, and ``stopping`` gets the signals that are received."""
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     path, saved = output / "checkpoint.pt", None
@@ -148,7 +195,6 @@ def _work(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
     runner.alg.train_mode()
     if rank == 0:
         runner.logger.init_logging_writer()
-    stopping: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda received, _: stopping.append(received))
     start = time.monotonic() - progress.seconds
@@ -295,11 +341,9 @@ def _log(output: Path, runner: OnPolicyRunner, values: dict[str, float]) -> None
 def _evaluate(output: Path, runner: OnPolicyRunner, progress: Progress) -> None:
     """Calibrate the saved weights on the deployment model, run a short benchmark of them and log it."""
     from gym_demohlm.wbc.evaluation.benchmark import quick  # the deployment model is not needed to learn
-    from gym_demohlm.wbc.evaluation.calibration import calibrate
 
-    calibrated = output / "calibrated.npz"
-    calibrate(output / "weights.npz", calibrated)
-    found = {f"deployment/{name}": value for name, value in quick(calibrated).items()}
+    _calibrate(output)
+    found = {f"deployment/{name}": value for name, value in quick(output / "calibrated.npz").items()}
     line = {"steps": progress.steps, "seconds": round(progress.seconds, 1), **found}
     with (output / "evaluation.jsonl").open("a") as file:
         file.write(json.dumps(line) + "\n")
@@ -307,6 +351,19 @@ def _evaluate(output: Path, runner: OnPolicyRunner, progress: Progress) -> None:
     if runner.logger.writer is not None:
         for name, value in found.items():
             runner.logger.writer.add_scalar(name, value, progress.steps)
+
+
+def _calibrate(output: Path) -> None:
+    """Write ``calibrated.npz`` of the saved weights, unless it is theirs already."""
+    from gym_demohlm.wbc.evaluation.calibration import calibrate
+
+    weights, calibrated = output / "weights.npz", output / "calibrated.npz"
+    if not calibrated.exists() or _iteration(calibrated) != _iteration(weights):
+        calibrate(weights, calibrated)
+
+
+def _iteration(weights: Path) -> int:
+    return read_arrays(weights)[1]["iteration"]
 
 
 def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progress, config: TrainConfig) -> None:

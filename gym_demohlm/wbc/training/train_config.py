@@ -28,9 +28,10 @@ class TrainConfig:
         max_steps: Control steps after which a run ends, if its time has not.
         hidden_sizes: Of actor and critic.
         polish: Learn slowly and explore little, for the last part: the mean action, which is what runs on the robot,
-            gets steadier.
+            gets steadier. A warm start does so anyway.
         largest_noise: Bound of the actions' standard deviation.
-        held_noise: Their standard deviation instead of a learned one. Half of both in the hip-yaw joints.
+        held_noise: Their standard deviation instead of a learned one, from the second iteration on: the first explores
+            as without it. Half of both in the hip-yaw joints.
         symmetric: Whether actor and critic are mirror-symmetric.
         curriculum: Whether commands and pushes start easy.
         warm_start: Exported weights that the actor starts from, with the whole range, exploring little.
@@ -67,7 +68,8 @@ class TrainConfig:
         """Check the device, the noise and the counts.
 
         Raises:
-            SceneError: Several processes with a GPU, a held noise that is not positive, or a count out of range.
+            SceneError: Several processes with a GPU, a noise that is not positive, a count out of range, or a polish
+                with a warm start.
         """
         if self.num_processes < 1 or self.mdp.num_worlds < 1 or self.warm_up < 0 or self._ends_at_once:
             got = (
@@ -75,8 +77,14 @@ class TrainConfig:
                 f"max_steps={self.max_steps}"
             )
             raise SceneError(got, "1 or more of each, and a warm-up of 0 or more", "correct the options")
-        if self.held_noise is not None and not self.held_noise > 0:
+        for name in ("level_every", "save_every", "evaluate_every", "keep_every"):
+            if getattr(self, name) < 1:
+                raise SceneError(f"{name}={getattr(self, name)}", "1 or more iterations", f"raise {name}")
+        if self.held_noise is not None and not 0 < self.held_noise < np.inf:
             raise SceneError(f"a noise of {self.held_noise}", "a positive standard deviation", "pass --noise 0.2")
+        if self.polish and self.warm_start is not None:
+            expected = "one of them: after a warm start a run learns slowly and explores little anyway"
+            raise SceneError("polish with a warm start", expected, "leave out --polish")
         if self.device != "cpu" and self.num_processes != 1:
             got = f"{self.num_processes} processes with device {self.device!r}"
             raise SceneError(got, "one process, whose worlds are stepped together", "leave out --num-processes")

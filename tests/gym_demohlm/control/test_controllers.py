@@ -14,7 +14,7 @@ import pytest
 
 from gym_demohlm.control import command, controllers, features
 from gym_demohlm.control.proprioception import Proprioception
-from gym_demohlm.control.settings import Gait, Settings, Trim
+from gym_demohlm.control.settings import Gait, Settings, Trim, read_gait
 from gym_demohlm.control.tick import Sensors, Tick
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, Weights, WholeBodyController
 from gym_demohlm.errors import DemoHLMError, SceneError, UnknownNameError
@@ -55,6 +55,14 @@ def test_settings_survive_a_file(tmp_path: Path) -> None:
     assert simulation.model.opt.noslip_iterations == SECOND.noslip_iterations
     for model in (simulation.model, simulation.scene.physics, simulation.scene.untouched):
         assert model.actuator("left_knee").biasprm[2] == -2.0 * g1.motor("left_knee").damping
+
+
+@pytest.mark.parametrize("content", ["[]", "3", "null"])
+def test_a_gait_that_is_no_object_is_refused(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "gait.json"
+    path.write_text(content)
+    with pytest.raises(SceneError, match="a JSON object"):
+        read_gait(path)
 
 
 def test_the_first_weights_have_the_first_settings() -> None:

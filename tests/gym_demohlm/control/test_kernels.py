@@ -12,14 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gym_demohlm import arithmetic
 from gym_demohlm.arithmetic import elu
-from gym_demohlm.control import command, features
+from gym_demohlm.control import command, controllers, features
 from gym_demohlm.control.kernels import compiler
 from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Gait, Settings, Trim
 from gym_demohlm.control.tick import Sensors, Tick
 from gym_demohlm.control.velocity_map import NUM_TERMS
-from gym_demohlm.control.whole_body import WholeBodyController
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WholeBodyController
 from gym_demohlm.robot import g1
 from tests.helpers.gaits import GAITS
 
@@ -47,7 +48,7 @@ def _sensed(rng: np.random.Generator, count: int, wild: float) -> Proprioception
 
 
 def _policy(controller: WholeBodyController, observed: np.ndarray) -> np.ndarray:
-    """Return the mean action of robots and their mirror, within its limit, by the functions of arrays."""
+    """Return the mean action of robots, and of their mirror if it is symmetric, by the functions of arrays."""
     weights, inputs = controller.weights, len(controller.weights.mean)
     latent = (observed[:, :inputs] - weights.mean) * weights.scale
     mirror = features.first_inputs(features.OBSERVATION_MIRROR, inputs)
@@ -56,7 +57,7 @@ def _policy(controller: WholeBodyController, observed: np.ndarray) -> np.ndarray
         hidden = elu(product(hidden) + bias)
     product, bias = weights.layers[-1]
     seen, in_mirror = np.split(product(hidden) + bias, 2)
-    action = 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR))
+    action = 0.5 * (seen + features.mirror(in_mirror, features.ACTION_MIRROR)) if weights.symmetric else seen
     return np.clip(action, -features.ACTION_LIMIT, features.ACTION_LIMIT)
 
 
@@ -102,6 +103,25 @@ def test_a_tick_has_the_bits_of_numpy(
         controller.state = before.copy()
         assert controller.step(sensed, commands).tobytes() == expected.tobytes()
         assert controller.state.tobytes() == after.tobytes()
+
+
+@pytest.mark.parametrize("without", ["symmetric", "use_reference"])
+def test_a_policy_runs_as_it_was_trained(tmp_path: Path, without: str) -> None:
+    """Without its mirror image it acts otherwise, without the reference it corrects another pose."""
+    controllers.rewrite(DEFAULT_WEIGHTS, tmp_path / "without.npz", **{without: False})
+    usual, controller = (WholeBodyController(3, path) for path in (None, tmp_path / "without.npz"))
+    rng = np.random.default_rng(0)
+    sensed, commands = _sensed(rng, 3, 0.2), np.tile(command.rest(), (3, 1))
+    commands[:, command.VELOCITY] = [0.5, 0.2, 0.5]
+    for each in (usual, controller):
+        each.reset(np.arange(3), sensed)
+    other = usual.step(sensed, commands)[:, : features.ACTION_SIZE]
+    before = controller.state.copy()
+    expected, after = _in_numpy(controller, sensed, commands), controller.state
+    controller.state = before
+    targets = controller.step(sensed, commands)
+    assert targets.tobytes() == expected.tobytes() and controller.state.tobytes() == after.tobytes()
+    assert np.abs(targets[:, : features.ACTION_SIZE] - other).max() > 0.01
 
 
 def test_a_world_has_the_same_bits_alone_and_among_others() -> None:
@@ -150,6 +170,14 @@ def test_kernels_of_other_sources_or_constants_have_other_names(
     second = compiler.digest("made_up")
     module.__dict__["_LENGTH"] = np.array([0.1, 0.3])
     assert len({first, second, compiler.digest("made_up")}) == 3
+
+
+def test_kernels_of_another_arithmetic_have_other_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The policy's activation is a function of it, compiled into a kernel."""
+    first, file = compiler.digest(), tmp_path / "arithmetic.py"
+    file.write_text("a = 1")
+    monkeypatch.setattr(arithmetic, "__file__", str(file))
+    assert compiler.digest() != first
 
 
 def test_kernels_never_fuse_a_product_and_a_sum() -> None:

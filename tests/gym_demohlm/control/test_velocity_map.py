@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_demohlm.control import command, features, velocity_map
+from gym_demohlm.control.proprioception import Proprioception
 from gym_demohlm.control.settings import Settings
-from gym_demohlm.control.whole_body import WEIGHTS_FOLDER, Weights
+from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, Weights, WholeBodyController
 from gym_demohlm.errors import SceneError
+from gym_demohlm.wbc.evaluation import calibration
 from gym_demohlm.wbc.evaluation.calibration import calibrate, walk
-from gym_demohlm.wbc.evaluation.trial import trial_simulation
 
 _SIGNS = np.array(features.COMMAND_MIRROR[1])
 
@@ -82,6 +83,23 @@ def test_settings_keep_it_as_json() -> None:
     assert Settings.read(json.loads(json.dumps(how.metadata()))) == how
 
 
+def test_a_fit_learns_from_the_commands_that_robots_got(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Velocities beyond the range reach the controller, though a simulation would keep them within it."""
+    got = []
+
+    def step(self: WholeBodyController, sensed: Proprioception, commands: np.ndarray, worlds: np.ndarray) -> np.ndarray:
+        got.append(commands)
+        return plain(self, sensed, commands, worlds)
+
+    plain = WholeBodyController.step
+    monkeypatch.setattr(WholeBodyController, "step", step)
+    monkeypatch.setattr(calibration, "_SETTLE_S", 0.1)
+    monkeypatch.setattr(calibration, "_LOOK_S", 0.1)
+    told = walk(DEFAULT_WEIGHTS, 16).told
+    assert (told[:, :3] > command.UPPER[:3]).any(axis=0).all()
+    assert all(np.array_equal(commands[:, :7], told) for commands in got)
+
+
 @pytest.mark.slow
 def test_calibrated_robots_walk_nearer_to_their_commands(tmp_path: Path) -> None:
     weights = WEIGHTS_FOLDER / "8ac4c8cd0008.npz"
@@ -91,8 +109,6 @@ def test_calibrated_robots_walk_nearer_to_their_commands(tmp_path: Path) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["mapped.npz"]
     missed = {}
     for path in (weights, mapped):
-        simulation = trial_simulation(48, weights=path)
-        found = walk(simulation, Weights(path).settings.gait.period_s, seed=1, beyond=1.0)
-        simulation.close()
+        found = walk(path, 48, seed=1, beyond=1.0)
         missed[path] = np.linalg.norm(found.velocity - found.told[:, :2], axis=1).mean()
     assert missed[mapped] < 0.9 * missed[weights]

@@ -1,8 +1,11 @@
 """The shipped controller on the deployment model stands, walks where it is told, squats and bends; training runs."""
 
 import json
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,6 +61,13 @@ def test_benchmark_reports_every_number() -> None:
     assert 0.0 <= text["survival"] <= 1.0
 
 
+@pytest.fixture
+def copying(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calibration copies the weights: robots that fall are slow to simulate."""
+    monkeypatch.setattr(calibration, "calibrate", shutil.copy)
+
+
+@pytest.mark.usefixtures("copying")
 @pytest.mark.parametrize("num_processes", [1, 2])
 def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     train = pytest.importorskip("gym_demohlm.wbc.training.train")
@@ -68,7 +78,8 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
     train.train(tmp_path / "run", config, hours=2 / 3600)
     lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
     assert json.loads(lines[-1])["steps"] == len(lines) * 24 * 8 * num_processes
-    assert WholeBodyController(1, tmp_path / "run" / "weights.npz").weights.metadata["iteration"] == len(lines)
+    for name in ("weights.npz", "calibrated.npz"):
+        assert Weights(tmp_path / "run" / name).metadata["iteration"] == len(lines)
     with pytest.raises(train.SceneError, match="exists already"):
         train.train(tmp_path / "run", config, hours=1 / 3600)
     with pytest.raises(train.SceneError, match="began with symmetric=True; expected False"):
@@ -81,13 +92,83 @@ def test_training_runs_and_resumes(tmp_path: Path, num_processes: int) -> None:
         assert (tmp_path / "run" / "log.jsonl").read_text() == more
 
 
+@pytest.mark.usefixtures("copying")
+def test_a_start_that_failed_is_corrected(tmp_path: Path) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
+
+    mdp = MdpConfig(num_worlds=8, num_variants=1)
+    config = TrainConfig(mdp=mdp, hidden_sizes=(16, 16), num_processes=1, max_steps=1, warm_start=tmp_path / "none.npz")
+    with pytest.raises(SceneError, match="weights none"):
+        train.train(tmp_path / "run", config, hours=1.0)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(SceneError, match="weights of 4 layers; expected 3"):
+        train.train(tmp_path / "run", replace(config, warm_start=DEFAULT_WEIGHTS), hours=1.0)
+    train.train(tmp_path / "run", replace(config, warm_start=None), hours=1.0)
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["warm_start"] == "None"
+
+
+def test_an_error_in_another_process_is_raised_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.training.train_config import TrainConfig
+
+    def work(*_: object) -> None:
+        raise SceneError("a wrong file", "a right one", "pass it")
+
+    def start(function: Callable, arguments: tuple, *_: object, **__: object) -> SimpleNamespace:
+        def join() -> bool:
+            with pytest.raises(SceneError):
+                function(1, *arguments)
+            raise train.ProcessRaisedException("Traceback ...", 1, 0)
+
+        return SimpleNamespace(join=join, pids=list)
+
+    monkeypatch.setattr(train, "_work", work)
+    monkeypatch.setattr(train, "start_processes", start)
+    with pytest.raises(SceneError, match="got a wrong file; expected a right one; pass it"):
+        train.train(tmp_path / "run", TrainConfig(num_processes=2), hours=1.0)
+
+
+@pytest.mark.usefixtures("copying")
+def test_the_last_part_of_a_run_is_polished(tmp_path: Path) -> None:
+    train = pytest.importorskip("gym_demohlm.wbc.training.train")
+    from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig
+
+    steps = 24 * 8
+    config = TrainConfig(mdp=MdpConfig(num_worlds=8, num_variants=1), num_processes=1, level_every=1, max_steps=steps)
+    train.train(tmp_path, config, hours=1.0)
+    polished = replace(config, polish=True, largest_noise=0.12, max_steps=2 * steps)
+    train.train(tmp_path, polished, hours=1.0, resume=True)
+    first, last = (json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines())
+    assert first["noise"] > 0.3 and last["noise"] < 0.121
+    assert last["learning_rate"] <= 4e-4
+    assert json.loads((tmp_path / "changes.jsonl").read_text()) == {
+        "steps": steps,
+        "largest_noise": ["1.0", "0.12"],
+        "polish": ["False", "True"],
+    }
+    train.train(tmp_path, polished, hours=1.0, resume=True)
+    assert len((tmp_path / "changes.jsonl").read_text().splitlines()) == 1
+
+
 def test_a_resumed_training_draws_other_numbers() -> None:
     train = pytest.importorskip("gym_demohlm.wbc.training.train")
     seeds = [train._seed(1, rank, iteration) for rank in range(3) for iteration in (0, 1, 50, 51)]
     assert len(set(seeds)) == len(seeds)
 
 
-@pytest.mark.parametrize("changes", [{"num_processes": 0}, {"warm_up": -5}, {"max_steps": 0}, {"held_noise": 0.0}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"num_processes": 0},
+        {"warm_up": -5},
+        {"max_steps": 0},
+        {"held_noise": 0.0},
+        {"held_noise": float("inf")},
+        {"evaluate_every": 0},
+        {"polish": True, "warm_start": DEFAULT_WEIGHTS},
+    ],
+)
 def test_impossible_trainings_are_refused(changes: dict) -> None:
     from gym_demohlm.wbc.training.train_config import TrainConfig
 
@@ -120,6 +201,7 @@ def test_calibration_maps_the_velocity_of_robots_that_walk(tmp_path: Path, monke
     assert [path.name for path in tmp_path.iterdir()] == ["calibrated.npz"]
 
 
+@pytest.mark.usefixtures("copying")
 def test_exploration_can_be_held(tmp_path: Path) -> None:
     train = pytest.importorskip("gym_demohlm.wbc.training.train")
     from gym_demohlm.wbc.training.train_config import MdpConfig, TrainConfig

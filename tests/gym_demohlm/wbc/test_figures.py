@@ -140,3 +140,5 @@ def test_runs_are_drawn_over_one_another(tmp_path: Path) -> None:
     assert (both != one).any()
     with pytest.raises(SceneError, match=r"evaluation\.jsonl"):
         figures.draw_comparison([tmp_path], tmp_path / "none.png")
+    with pytest.raises(SceneError, match="7 runs; expected at most 6"):
+        figures.draw_comparison(7 * runs[:1], tmp_path / "none.png")

@@ -96,8 +96,9 @@ def test_weights_are_given_by_name() -> None:
     assert rewards.parse("power=-0.004") == ("power", -0.004)
     with pytest.raises(UnknownNameError, match="did you mean 'power'"):
         rewards.parse("powr=1")
-    with pytest.raises(SceneError, match="NAME=WEIGHT"):
-        rewards.parse("power")
+    for wrong in ("power", "power=nan", "power=inf"):
+        with pytest.raises(SceneError, match="NAME=WEIGHT"):
+            rewards.parse(wrong)
     with pytest.raises(UnknownNameError):
         rewards.with_weights({"slipp": 1.0})
 

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 
 from gym_demohlm.control import features
 from gym_demohlm.control.settings import Gait, Settings
+from gym_demohlm.control.tick import Tick
 from gym_demohlm.control.whole_body import DEFAULT_WEIGHTS, Weights, WholeBodyController
 from gym_demohlm.wbc.training.export import export_weights, import_weights
 from gym_demohlm.wbc.training.mdp import CRITIC_MIRROR, CRITIC_SIZE, MdpConfig, WholeBodyMdp
@@ -39,6 +40,26 @@ def test_a_warm_start_acts_as_its_file_and_so_does_what_it_exports(tmp_path: Pat
     assert again.settings == settings
     assert len(again.weights.mean) == features.OBSERVATION_SIZE
     np.testing.assert_allclose(again._act(seen), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("symmetric", "use_reference"), [(False, True), (True, False)])
+def test_an_export_runs_as_it_was_trained(tmp_path: Path, symmetric: bool, use_reference: bool) -> None:
+    env = MdpVecEnv(MdpConfig(num_worlds=4, num_variants=1, use_reference=use_reference))
+    runner = OnPolicyRunner(env, ppo_config(TrainConfig(symmetric=symmetric)), log_dir=None, device="cpu")
+    actor = runner.alg.get_policy()
+    with torch.no_grad():
+        for layer in actor.mlp:
+            if isinstance(layer, torch.nn.Linear):
+                layer.bias.uniform_(-0.3, 0.3)
+    export_weights(actor, env.mdp.reference, env.mdp.config.settings, tmp_path / "weights.npz", {})
+    controller = WholeBodyController(4, tmp_path / "weights.npz")
+    seen = np.random.default_rng(0).normal(0, 1.0, (4, features.OBSERVATION_SIZE))
+    with torch.inference_mode():
+        expected = actor(TensorDict({"actor": torch.from_numpy(seen.astype(np.float32))}, batch_size=[4]))
+    np.testing.assert_allclose(controller._act(seen), expected.numpy(), atol=1e-3)
+    now, action = env.mdp.now, np.zeros((4, features.ACTION_SIZE))
+    at_run_time = Tick(controller.reference, controller.settings).targets(now, action)
+    assert at_run_time.tobytes() == env.mdp._tick.targets(now, action).tobytes()
 
 
 @pytest.mark.parametrize("count", [1, 4, 32, 100, 128])

@@ -44,7 +44,16 @@ def test_a_controller_is_tuned_by_names_and_values(tmp_path: Path, capsys: pytes
     )
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["hash"] == controllers.load(str(path)).hash
     assert controllers.load(str(path)).settings.gait.recovery_s == 7.5
-    for wrong, message in (("recovery_s=four", "NAME=VALUE"), ("recovery=4", "recovery_spread")):
-        assert cli.main(["tune-controller", "--gait", wrong, "--output", str(tmp_path / "bad.npz")]) == 2
+    output = ["--output", str(tmp_path / "bad.npz")]
+    for wrong, message in (
+        ("recovery_s=four", "NAME=VALUE"),
+        ("recovery=4", "recovery_spread"),
+        ("spread=-0.3", "0 to 0.5 m"),
+        ("lift=-5", "0 to 0.5 m"),
+        ("recovery_spread=3", "0 to 0.5 m"),
+    ):
+        assert cli.main(["tune-controller", "--gait", wrong, *output]) == 2
         assert message in capsys.readouterr().err
+    assert cli.main(["tune-controller", "nosuch.npz", "--gait", "lift=0.05", *output]) == 2
+    assert "no file nosuch.npz" in (told := capsys.readouterr().err) and "--gait" not in told
     assert not (tmp_path / "bad.npz").exists()
