@@ -123,6 +123,7 @@ def _operate(options: Options, deployment: "Deployment") -> None:
         deployment.request(Mode.STAND)
     with terminal_keys() as next_key:
         while options.seconds is None or time.monotonic() - began < options.seconds:
+            deployment.note_turn()
             if options.hands_free:
                 time.sleep(0.1)
                 if deployment.mode == Mode.STAND and _stood_s(deployment) > 5.0:

@@ -1,6 +1,8 @@
 """Options of the robot ``demohlm_g1``."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from lerobot.robots.config import RobotConfig
 
@@ -30,6 +32,9 @@ class DemoHLMG1Config(RobotConfig):
         domain: Of DDS; a real robot's is 0.
         pose_source: Where objects are, for ``dds``: see ``demohlm deploy``.
         servo_port: Serial port of neck and grippers, for ``dds``.
+        camera: LeRobot's camera on the head, for ``dds``, as ``--camera`` of ``demohlm deploy``; a simulated robot's
+            world is looked at without one.
+        tags: JSON file of which tag is where on which object, for ``apriltag`` with a camera.
     """
 
     task: str = "LiftBox"
@@ -43,6 +48,8 @@ class DemoHLMG1Config(RobotConfig):
     domain: int = 0
     pose_source: str = "exact"
     servo_port: str | None = None
+    camera: dict[str, Any] | None = None
+    tags: Path | None = None
 
     def __post_init__(self) -> None:
         """Check the options.

@@ -4,6 +4,7 @@ LeRobot takes the place of the policy alone: filter, watchdogs and controller ar
 that falls silent is a policy that does, and the robot holds.
 """
 
+import json
 import logging
 import time
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gym_demohlm.control import command
+from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.task import Task
 from lerobot_demohlm.devices.config_g1 import DemoHLMG1Config, DeviceError
 from lerobot_demohlm.devices.mirror import Mirror
@@ -70,6 +72,8 @@ class DdsRobot:
                 pose_source=config.pose_source,
                 servo_port=config.servo_port,
                 domain=config.domain,
+                tags=config.tags,
+                camera="" if config.camera is None else json.dumps(config.camera),
             )
         )
         try:
@@ -103,10 +107,11 @@ class DdsRobot:
         """Hand an action (23,) to the controller; a warning says once an episode that a robot that holds ignores it.
 
         Raises:
-            DeviceError: The robot brakes its motors, or its controller has ended.
+            DeviceError: The robot brakes its motors.
+            RobotError: Its controller has ended.
         """
         deployment = self._deployment
-        deployment.check()
+        self._check()
         if self._step == 0 and deployment.mode in (Mode.STAND, Mode.HOLD):
             self._run()
         control = deployment.read("control")
@@ -131,17 +136,37 @@ class DdsRobot:
         finally:
             self.mirror.close()
 
+    def _check(self) -> None:
+        """Warn once of a process that has ended: its watchdog holds the robot.
+
+        Raises:
+            RobotError: It is the controller.
+        """
+        try:
+            self._deployment.check()
+        except DemoHLMError as error:
+            if self._deployment.processes["control"].exitcode is not None:
+                raise
+            _log.warning("the robot holds from now on: %s", error)
+            self._deployment.forget_ended()
+
     def _stand(self) -> None:
-        """Stand up; asks again for as long as something is missing that may still come, such as the servos' answer."""
-        until, next_time = time.monotonic() + PATIENCE_S, 0.0
-        while not self._deployment.standing:
-            now = time.monotonic()
-            if now > until:
+        """Stand up; asks again for as long as something is missing that may still come, such as the servos' answer.
+
+        Raises:
+            DeviceError: It brakes on its way or after an e-stop, which only a person may lift; or the time is up.
+        """
+        deployment, until, next_time, began_ns = self._deployment, time.monotonic() + PATIENCE_S, 0.0, 0
+        while not deployment.standing:
+            now, since_ns, damped = time.monotonic(), deployment.since_ns, deployment.mode == Mode.DAMP
+            began_ns = began_ns or since_ns
+            braked = damped and (since_ns != began_ns or deployment.reason.startswith("e-stop"))
+            if braked or now > until:
                 raise DeviceError(
-                    f"a robot that does not stand ({self._deployment.reason})", "one that does", "see `robot-check`"
+                    f"a robot that does not stand ({deployment.reason})", "one that does", "see `robot-check`"
                 )
-            if now > next_time and self._deployment.mode == Mode.DAMP:
-                self._deployment.request(Mode.STAND)
+            if now > next_time and damped:
+                deployment.request(Mode.STAND)
                 next_time = now + ASK_AGAIN_S
             time.sleep(_PAUSE_S)
         time.sleep(BALANCE_S)

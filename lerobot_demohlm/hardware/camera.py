@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from gym_demohlm.robot.neck import CAMERA_FOVY
 from lerobot_demohlm.hardware.errors import RobotError
 
 _WAIT_MS = 200
-_DEPTH_UNIT = 0.001  # m, of LeRobot's depth pictures
 
 
 class HeadCamera:
@@ -19,7 +17,7 @@ class HeadCamera:
 
     Args:
         text: Its configuration as JSON: ``{"type": "intelrealsense", "serial_number_or_name": "0123456789",
-            "width": 640, "height": 480, "fps": 60, "use_depth": true}``.
+            "width": 640, "height": 480, "fps": 60}``.
 
     Raises:
         RobotError: There is no such camera.
@@ -46,16 +44,6 @@ class HeadCamera:
             return np.asarray(self._camera.async_read(timeout_ms=_WAIT_MS))
         except (TimeoutError, RuntimeError):
             return None
-
-    def depth(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Return the newest depth (height, width) float32 [m], 0 where nothing was measured, as of no depth camera."""
-        read: Any = getattr(self._camera, "read_latest_depth", None)
-        try:
-            if read is not None and getattr(self._camera, "use_depth", False):
-                return np.asarray(read()).reshape(shape[:2]).astype(np.float32) * np.float32(_DEPTH_UNIT)
-        except (TimeoutError, RuntimeError, ValueError):
-            pass
-        return np.zeros(shape[:2], np.float32)
 
     def intrinsics(self, shape: tuple[int, ...]) -> Intrinsics:
         """Return those that a RealSense tells, both focal lengths as one, else a D435's by its data sheet."""

@@ -26,7 +26,7 @@ from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.following import CommandFollower, NeckFollower, Search
 from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowCmd
 from lerobot_demohlm.hardware.limits import COMMAND_TIMEOUT_S, RAMP_S, Ages, Limits
-from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link
+from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link, Reader
 from lerobot_demohlm.hardware.machine import Request, StateMachine, Watched
 from lerobot_demohlm.hardware.odometry import LegOdometry
 from lerobot_demohlm.hardware.records import Mode
@@ -37,6 +37,8 @@ from lerobot_demohlm.hardware.wire import CommandWire
 SLICE_S = 0.004  # between looks at robot and operator
 LISTEN_S = 0.5  # for commands of others, before the first of ours
 FAREWELL = 15  # commands that brake the motors at the end
+_ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # Linux's goes on while the machine is suspended
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +85,7 @@ class ControlProcess:
         link = Link(settings.interface, settings.domain)
         self._states = link.reader(LOW_STATE)
         refuse_other_controllers(link)
+        refuse_other_robots(self._states, settings.interface)
         self._safety = SafetyFilter(settings.limits, task.hands)
         self._controller = WholeBodyController(1, settings.weights)
         gains = self._controller.settings
@@ -96,14 +99,14 @@ class ControlProcess:
         self._entered_ns, self._estop, self._stop = time.monotonic_ns(), "", False
         self._policy_number, self._policy_ns = 0, 0
         self._start, self._sent_q = g1.HOME.copy(), None
-        self._looked_ns, self._ticks, self._late = time.monotonic_ns(), 0, 0
+        self._looked_ns, self._ticks, self._late = time.clock_gettime_ns(_CLOCK), 0, 0
         self._wire = CommandWire(link, self._safety)
 
     def run(self) -> None:
         """Control the robot until a signal asks for the end; then brake its motors."""
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in _ENDS:
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
-        due, self._looked_ns = time.monotonic(), time.monotonic_ns()
+        due, self._looked_ns = time.monotonic(), time.clock_gettime_ns(_CLOCK)
         parent = multiprocessing.parent_process()
         try:
             while not self._stop and (parent is None or parent.is_alive()):  # whoever started it may be killed
@@ -125,10 +128,10 @@ class ControlProcess:
 
     def _look(self) -> bool:
         """Take in what has come, and decide; returns whether the mode has changed."""
-        now_ns = time.monotonic_ns()
+        now_ns = time.clock_gettime_ns(_CLOCK)
         slept, self._looked_ns = 1e-9 * (now_ns - self._looked_ns), now_ns
         for message in self._states.take():
-            if self._watch.take(message.content):
+            if self._watch.take(message.content, may_restart=self._machine.mode == Mode.DAMP):
                 self._tell_state()
         self._seen = self._observe(slept)
         if not self._machine.update(self._watch, self._seen, self._request(), self._sent_q):
@@ -172,11 +175,13 @@ class ControlProcess:
         recorder, failed = self._slots["recorder"].read() if self._settings.recorded else None, ""
         if recorder is not None and bool(recorder.value["failed"]):
             failed = records.text(recorder.value["reason"])
+        servos = self._slots["servos"].read() if self._settings.servos else None
         return Watched(
             state=self._watch.age_s,
             policy=since_policy,
             pose=self._slots["pose"].age_s(),
             servos=self._slots["servos"].age_s() if self._settings.servos else 0.0,
+            servos_failed="" if servos is None else records.text(servos.value["reason"]),
             operator=self._slots["operator"].age_s(),
             recorder=self._slots["recorder"].age_s() if self._settings.recorded else 0.0,
             recorder_failed=failed,
@@ -309,3 +314,17 @@ def refuse_other_controllers(link: Link) -> None:
                 "stop the other one, or the robot's own: release it with --release",
             )  # fmt: skip
         time.sleep(0.01)
+
+
+def refuse_other_robots(states: Reader, interface: str) -> None:
+    """Count who speaks as a robot; the network has had ``LISTEN_S`` to tell.
+
+    Raises:
+        RobotError: More than one does.
+    """
+    speaking = states.writers()
+    if speaking > 1:
+        raise RobotError(
+            f"{speaking} robots on {interface}", "one",
+            "switch the others off; one that has just gone is known for ten seconds more",
+        )  # fmt: skip

@@ -5,7 +5,10 @@ policy, poses, servos and recorder must be ready before the controller starts, a
 stand.
 """
 
+import atexit
+import hashlib
 import json
+import math
 import multiprocessing
 import os
 import resource
@@ -21,7 +24,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from gym_demohlm.control import controllers
 from gym_demohlm.registry import get_task
+from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
@@ -34,6 +39,7 @@ from lerobot_demohlm.hardware.slots import Reading
 READY_S = 600.0  # that processes may take to load
 ASK_AGAIN_S = 1.0  # after which a robot that does not run is asked to again
 OPERATOR_S = 0.05  # between signs of life of the operator
+TURN_S = 0.3  # that a loop which reads keys may take for a turn
 FACTS = "deployment.json"
 
 
@@ -61,11 +67,15 @@ class Deployment:
         self._slots = {name: records.slot(self.folder, name) for name in records.RECORDS}
         self._mode, self._number, self._estop, self._closed = Mode.DAMP, 0, "", False
         self._quiet = threading.Event()
+        self._over, self._turned_s = False, math.nan
+        self._identity: dict[str, Any] = {}
+        atexit.register(self.close)  # before multiprocessing waits for processes that nobody has ended
         self._lock = threading.Lock()
         try:
             for name in (*self._names(), "control"):
                 self._start(name)
             self._wait_for_ready(*self._names())
+            self._identity = {} if settings.root is None else _identify(settings)
             before_control()
             (self.folder / GO).touch()
             self._wait_for_ready("control")
@@ -96,6 +106,14 @@ class Deployment:
         with self._lock:
             self._mode, self._number, self._estop = Mode.DAMP, self._number + 1, source
         self._say()
+
+    def note_turn(self) -> None:
+        """Say that the loop which reads the operator's keys goes on.
+
+        From the first time on, the operator counts as silent once it has not for ``TURN_S``: a loop that waits for its
+        terminal hears no e-stop.
+        """
+        self._turned_s = time.monotonic()
 
     def write_command(self, wanted: np.ndarray, run_ns: int, step: int) -> None:
         """Take the place of a policy: hand a command (23,) to the controller, for the run that began at a time.
@@ -192,7 +210,7 @@ class Deployment:
 
     def close(self) -> None:
         """Brake the motors, then end all processes; the controller first, the recorder last."""
-        if self._closed:
+        if self._over:
             return
         self._closed = True
         order = ("control", "policy", "pose", "servos", "recorder")
@@ -210,6 +228,8 @@ class Deployment:
         self._write_facts()
         shutil.rmtree(self.folder, ignore_errors=True)
         self._lock_on_robot.release()
+        atexit.unregister(self.close)
+        self._over = True  # an interrupted one is not, and may be called again
 
     def _names(self) -> list[str]:
         settings = self.settings
@@ -240,9 +260,10 @@ class Deployment:
         raise RobotError(content["got"], content["expected"], content["remedy"])
 
     def _operate(self) -> None:
-        """Give signs of life, as long as this process lives."""
+        """Give signs of life, as long as this process lives, and its loop goes on where one does."""
         while not self._closed:
-            if not self._quiet.is_set():
+            hangs = time.monotonic() - self._turned_s > TURN_S  # never where no turn was noted
+            if not self._quiet.is_set() and not hangs:
                 self._say()
             time.sleep(OPERATOR_S)
 
@@ -261,10 +282,19 @@ class Deployment:
         settings = self.settings
         facts: dict[str, Any] = {
             "task": get_task(settings.task).name, "interface": settings.interface, "pose_source": settings.pose_source,
-            "policy": None if settings.policy is None else str(settings.policy.name), "mode": self.mode.name,
-            "reason": self.reason,
+            **self._identity, "mode": self.mode.name, "reason": self.reason,
         }  # fmt: skip
         try:
             (root / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
         except OSError:
             return  # a full disk; the recorder has said so
+
+
+def _identify(settings: DeploymentSettings) -> dict[str, Any]:
+    """Return which policy is deployed, where it is, and which controller."""
+    policy, weights = settings.policy, settings.weights or controllers.find(controllers.DEFAULT)
+    return {
+        "policy": None if policy is None else str(policy.resolve()),
+        "policy_hash": None if policy is None else policy_hash(policy),
+        "controller": hashlib.sha256(weights.read_bytes()).hexdigest(),
+    }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gym_demohlm.robot import g1
+from lerobot_demohlm.hardware.layout import MODE_MACHINE_29
 from lerobot_demohlm.hardware.limits import ARMS, Ages, Limits
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.state_watch import StateWatch
@@ -42,6 +43,7 @@ class Watched:
         operator: Of the operator's newest sign of life.
         recorder: Of the recorder's; 0 where nothing is recorded.
         recorder_failed: Why the recorder cannot write; empty while it can.
+        servos_failed: Why neck or grippers do not hold; empty while they do.
         slept: Since the control process itself last looked.
     """
 
@@ -52,6 +54,7 @@ class Watched:
     operator: float
     recorder: float
     recorder_failed: str = ""
+    servos_failed: str = ""
     slept: float = 0.0
 
 
@@ -91,7 +94,7 @@ class StateMachine:
         asked = request.mode if request.number != self._obeyed else None
         self._obeyed = request.number
         if fatal:
-            if self.mode != Mode.DAMP or asked not in (None, Mode.DAMP):
+            if self.mode != Mode.DAMP or asked not in (None, Mode.DAMP) or request.estop:
                 self._enter(Mode.DAMP, fatal)
         elif asked is not None:
             self._obey(asked, watch, seen)
@@ -163,8 +166,8 @@ class StateMachine:
             age = getattr(seen, name)
             if age > getattr(self.ages, name):
                 return f"{what} silent for {age:.3f} s"
-        if seen.recorder_failed:
-            return f"recorder: {seen.recorder_failed}"
+        if failed := _failed(seen):
+            return failed
         if watch.hottest()[0] > self.limits.warm:
             return "warm motor: {} Celsius in {}".format(*_warmest(watch))
         if stuck[ARMS].any():
@@ -179,7 +182,21 @@ class StateMachine:
             return f"pelvis leans {watch.tilt:.2f} rad"
         if absent:
             return f"no {', '.join(absent)}"
-        return f"recorder: {seen.recorder_failed}" if seen.recorder_failed else ""
+        return _failed(seen) or ("" if with_policy else self._unfit(watch))
+
+    def _unfit(self, watch: StateWatch) -> str:
+        """Return why this is no robot that can stand up; empty where it is one."""
+        if watch.mode_machine != MODE_MACHINE_29:
+            return f"mode_machine {watch.mode_machine}, not {MODE_MACHINE_29}, a G1 with 29 joints"
+        outside = watch.outside()
+        return f"outside its range: {_named(outside)}" if outside.any() else ""
+
+
+def _failed(seen: Watched) -> str:
+    """Return which process says that it cannot do its work, and why; empty for none."""
+    if seen.recorder_failed:
+        return f"recorder: {seen.recorder_failed}"
+    return f"servos: {seen.servos_failed}" if seen.servos_failed else ""
 
 
 def _named(joints: np.ndarray) -> str:

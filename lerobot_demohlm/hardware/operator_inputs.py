@@ -31,12 +31,18 @@ Stop = Callable[[str], None]
 
 @contextmanager
 def terminal_keys() -> Iterator[Callable[[float], str]]:
-    """Yield what waits for a key for some seconds and returns it, "" for none; the terminal echoes nothing."""
+    """Yield what waits for a key for some seconds and returns it, "" for none.
+
+    The terminal echoes nothing, and Ctrl-S does not stop it: whoever writes to a stopped terminal waits.
+    """
     if not sys.stdin.isatty():
         yield lambda seconds: _read_key(seconds)
         return
     before = termios.tcgetattr(sys.stdin)
     tty.setcbreak(sys.stdin)
+    now = termios.tcgetattr(sys.stdin)
+    now[0] &= ~termios.IXON
+    termios.tcsetattr(sys.stdin, termios.TCSANOW, now)
     try:
         yield lambda seconds: _read_key(seconds)
     finally:

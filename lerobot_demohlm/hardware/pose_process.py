@@ -20,6 +20,7 @@ from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import DOMAIN, Link
 from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.pose_sources import Look, Source, WorldSource
+from lerobot_demohlm.hardware.records import Mode
 
 WITH_CAMERA = ("apriltag", "remote")
 PERIOD_S = 0.04
@@ -77,8 +78,8 @@ class PoseProcess:
 
     def __init__(self, settings: PoseSettings) -> None:
         task = get_task(settings.task)
-        self._slots = {name: records.slot(settings.folder, name) for name in ("pose", "state", "servos")}
-        self._stop = False
+        self._slots = {name: records.slot(settings.folder, name) for name in ("pose", "state", "servos", "control")}
+        self._stop, self._stood_ns = False, 0
         self._source = make_source(settings, task)
 
     def run(self) -> None:
@@ -88,14 +89,23 @@ class PoseProcess:
         due = time.monotonic()
         try:
             while not self._stop:
-                began, camera = time.perf_counter(), self._camera()
-                look = None if camera is None else self._source(camera)
-                if look is not None:
-                    self._slots["pose"].write(_record(look, time.perf_counter() - began), look.time_ns)
+                self._look()
                 due = max(due + PERIOD_S, time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))
         finally:
             self._source.close()
+
+    def _look(self) -> None:
+        """Look once; a robot that stands up may have been moved, and knows no object."""
+        control = self._slots["control"].read()
+        if control is not None and int(control.value["mode"]) == Mode.STAND:
+            if int(control.value["since_ns"]) != self._stood_ns:
+                self._source.forget()
+            self._stood_ns = int(control.value["since_ns"])
+        began, camera = time.perf_counter(), self._camera()
+        look = None if camera is None else self._source(camera)
+        if look is not None:
+            self._slots["pose"].write(_record(look, time.perf_counter() - began), look.time_ns)
 
     def _camera(self) -> np.ndarray | None:
         """Return where the head camera is now (4, 4) in the frame "odometry"; None before the robot has told."""

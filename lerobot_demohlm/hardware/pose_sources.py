@@ -60,6 +60,10 @@ class Source(Protocol):
         """
         ...
 
+    def forget(self) -> None:
+        """Forget every object: the robot may have been moved."""
+        ...
+
     def close(self) -> None:
         """Give back what it looks with."""
         ...
@@ -93,6 +97,10 @@ class WorldSource:
             self._perceiver.begin(np.array([0]), [episode])
         return Look.of(self._perceiver.observe(self._sim, np.array([0])), T_odometry_camera, time_ns)
 
+    def forget(self) -> None:
+        """Begin anew with the next world."""
+        self._episode = -1
+
     def close(self) -> None:
         """Give back what draws the world."""
         self._perceiver.close()
@@ -107,7 +115,12 @@ class _Seen:
     """
 
     def __init__(self, task: Task) -> None:
-        self._objects, count = task.objects, len(task.objects)
+        self._objects = task.objects
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget every object."""
+        count = len(self._objects)
         self._T, self._at = np.tile(np.eye(4), (count, 1, 1)), np.full(count, -1, np.int64)
         self._told: list[np.ndarray | None] = [None] * count
 
@@ -173,6 +186,10 @@ class TagSource:
                 self._seen.add(index, T_odometry_camera @ T_CAMERA_OPTICAL @ found[0], now)
         return self._seen.look(T_odometry_camera, now)
 
+    def forget(self) -> None:
+        """Forget where each object was seen."""
+        self._seen.forget()
+
     def close(self) -> None:
         """Give back the camera."""
         self._camera.close()
@@ -182,7 +199,7 @@ class ServerSource:
     """Sends a camera's pictures to a pose server, which finds the objects in them by itself.
 
     It is told where the camera is by the robot's odometry. A late answer counts from where the camera was when its
-    picture was taken.
+    picture was taken. No depth is sent: LeRobot's cameras give it as seen from another place than the picture.
 
     Args:
         task: The task.
@@ -220,7 +237,7 @@ class ServerSource:
                 T_odom_optical=T_odometry_camera @ T_CAMERA_OPTICAL,
                 hands={},
                 color=image,
-                depth=self._camera.depth(image.shape),
+                depth=np.zeros(image.shape[:2], np.float32),
                 masks=None,
                 dt_s=STEP_DT if before_ns is None else 1e-9 * (now_ns - before_ns),
                 region=self._task.form,
@@ -232,9 +249,14 @@ class ServerSource:
         taken_ns, T_odometry_then = self._taken[told.request.frame]
         self._taken = {frame: taken for frame, taken in self._taken.items() if frame > told.request.frame}
         for index, answer in enumerate(told.answers):
-            if answer.valid:
+            if answer.valid and told.request.session == self._session:
                 self._seen.add(index, T_odometry_then @ T_CAMERA_OPTICAL @ answer.T_optical_object, taken_ns)
         return self._seen.look(T_odometry_then, taken_ns)
+
+    def forget(self) -> None:
+        """Forget where each object was seen; what the server still says of earlier pictures is not believed."""
+        self._seen.forget()
+        self._session = uuid.uuid4().hex
 
     def close(self) -> None:
         """Give back the camera, and the connection to the server."""

@@ -5,6 +5,7 @@ Each process imports the module of what it runs, and not those of the others.
 
 import json
 import multiprocessing
+import os
 import signal
 import time
 from pathlib import Path
@@ -13,13 +14,16 @@ from typing import Any
 from gym_demohlm.errors import DemoHLMError
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.priority import Urgency, hurry
-from lerobot_demohlm.reproducibility.processes import end_with_parent
+from lerobot_demohlm.reproducibility.processes import end_with_parent, hush_torchcodec
 
 GO = "go"  # a file: everything but the controller is ready
 
 
 def run_process(name: str, settings: DeploymentSettings, folder: Path) -> None:
     """Be one of the processes of a deployment, until it ends.
+
+    It leaves the terminal: what is typed there, and its end, reach the process that started it alone. When that ends in
+    whatever way, all others end, the controller braking the motors and the recorder writing what it has.
 
     Where a process refuses what it was given, it writes why to ``<name>.error`` and ends with exit status 2. Where it
     is ready, it makes ``<name>.ready``.
@@ -29,6 +33,7 @@ def run_process(name: str, settings: DeploymentSettings, folder: Path) -> None:
         settings: What is deployed.
         folder: Of the slots, and of these files.
     """
+    os.setsid()
     try:
         _make(name, settings, folder).run()
     except DemoHLMError as error:
@@ -64,7 +69,10 @@ def _make(name: str, settings: DeploymentSettings, folder: Path) -> Any:  # noqa
             )
         )
     else:
-        end_with_parent()
+        if name == "recorder":
+            hush_torchcodec()
+        else:
+            end_with_parent()
         made = _make_helper(name, settings, folder)
         if name != "recorder":
             hurry(Urgency.CONTROL if name == "servos" else Urgency.HELPER)

@@ -5,6 +5,7 @@ write says so in its slot, and the watchdog holds the robot.
 """
 
 import io
+import multiprocessing
 import os
 import signal
 import time
@@ -49,11 +50,11 @@ class Recorder:
         pq.write_table(pa.Table.from_pylist([self._row()]), io.BytesIO(), compression="zstd")  # the first is slow
 
     def run(self) -> None:
-        """Record until a signal asks for the end, and then what is left."""
+        """Record until a signal asks for the end or the parent ends, and then what is left."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
-        last = 0
-        while not self._stop:
+        last, parent = 0, multiprocessing.parent_process()
+        while not self._stop and (parent is None or parent.is_alive()):
             control = self._slots["control"].read()
             if control is not None and control.number != last:
                 last = control.number

@@ -60,10 +60,10 @@ RECORDS: dict[str, np.dtype] = {
     "operator": np.dtype([("mode", "u1"), ("number", "<u4"), ("estop", "?"), ("source", "S32")]),
     # Of the control process, for neck [rad] and grippers [0 open .. 1 closed].
     "servo_goals": np.dtype([("neck", "<f8", 2), ("grippers", "<f8", 2), ("enabled", "?")]),
-    # Of the servos' process: positions [rad], [m] and their velocities.
+    # Of the servos' process: positions [rad], [m] and their velocities; why one does not hold, empty while all do.
     "servos": np.dtype([
         ("neck", "<f8", 2), ("neck_dq", "<f8", 2), ("jaws", "<f8", 2), ("jaws_dq", "<f8", 2), ("temperature", "<i2", 4),
-        ("errors", "<u4"),
+        ("errors", "<u4"), ("reason", f"S{REASON_SIZE}"),
     ]),
     # Of the recorder.
     "recorder": np.dtype([("rows", "<u8"), ("bytes", "<u8"), ("failed", "?"), ("reason", f"S{REASON_SIZE}")]),

@@ -10,7 +10,7 @@ import numpy as np
 
 from gym_demohlm.robot import g1
 from lerobot_demohlm.hardware.errors import RobotError
-from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, NUM_JOINTS, LowState
+from lerobot_demohlm.hardware.layout import MODE_MACHINE_29, LowState
 from lerobot_demohlm.hardware.limits import Limits
 from lerobot_demohlm.hardware.link import DOMAIN, LOW_CMD, LOW_STATE, Link
 from lerobot_demohlm.hardware.motion_switcher import MotionSwitcher
@@ -55,9 +55,11 @@ def check_robot(interface: str, seconds: float = 3.0, domain: int = DOMAIN, *, a
         )  # fmt: skip
     span = 1e-9 * (arrived[-1] - arrived[0])
     gaps = 1e-6 * np.diff(arrived)
+    robots = reader.writers()
     own = _own_controller(link) if ask else None
     found = {
         "interface": interface,
+        "robots": robots,
         "state_hz": round((len(arrived) - 1) / span, 1) if span > 0 else 0.0,
         "largest_gap_ms": round(float(gaps.max()), 1) if len(gaps) else None,
         "refused_states": dict(watch.refused),
@@ -88,6 +90,8 @@ def _own_controller(link: Link) -> str | None:
 def _refused(found: dict[str, Any], state: LowState, watch: StateWatch, limits: Limits) -> list[str]:
     """Return what a deployment would not accept, a line each."""
     lines = []
+    if found["robots"] > 1:
+        lines.append(f"{found['robots']} robots; switch the others off")
     if found["state_hz"] < MIN_RATE_HZ:
         lines.append(f"{found['state_hz']} states a second; expected 500: look for lost packets")
     if state.mode_machine != MODE_MACHINE_29:
@@ -98,8 +102,7 @@ def _refused(found: dict[str, Any], state: LowState, watch: StateWatch, limits: 
         lines.append(f"the robot's own controller {found['own_controller']!r}; hang the robot up and release it")
     if found["commands_heard"]:
         lines.append(f"{found['commands_heard']} commands of another controller; stop it")
-    outside = (state.q[:NUM_JOINTS] < limits.ranges[:, 0] - 0.05) | (state.q[:NUM_JOINTS] > limits.ranges[:, 1] + 0.05)
-    lines += [f"{g1.BODY_JOINTS[index]} outside its range; calibrate it" for index in np.flatnonzero(outside)]
+    lines += [f"{g1.BODY_JOINTS[index]} outside its range; calibrate it" for index in np.flatnonzero(watch.outside())]
     if watch.tilt > 0.5 * limits.tilt:
         lines.append(f"pelvis leans {watch.tilt:.2f} rad; hang it upright")
     if watch.imu_error > limits.imu_error:

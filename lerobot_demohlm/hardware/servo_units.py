@@ -15,6 +15,9 @@ PRESENT_VELOCITY, PRESENT_POSITION = 128, 132
 BUS_WATCHDOG, HARDWARE_ERROR = 98, 70
 """Addresses in the control table (https://emanual.robotis.com/docs/en/dxl/x/xc330-m288/)."""
 WATCHDOG_UNITS = 10  # of 20 ms: a servo that hears nothing for so long stops by itself
+WATCHDOG_ACTED = 255  # -1, of a byte: the servo has stopped, and takes no goal until 0 is written
+HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "encoder", 4: "electrical shock", 5: "overload"}
+"""Bits of HARDWARE_ERROR. A servo with one lets go, and stays so until it is switched off or rebooted."""
 
 
 @dataclass(frozen=True, kw_only=True)

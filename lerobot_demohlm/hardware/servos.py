@@ -1,6 +1,8 @@
 """Goals for neck and grippers -> Dynamixel servos on a serial bus, and their positions back: a process of its own.
 
-The servos watch the bus themselves: one that hears nothing for 200 ms stops.
+The servos watch the bus themselves: one that hears nothing for 200 ms stops, and takes no goal until it is enabled
+again. Each second every servo is asked whether it holds. One that does not is enabled again; where that does not help,
+the slot says why, and the robot holds.
 """
 
 import os
@@ -8,6 +10,7 @@ import signal
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +25,39 @@ from lerobot_demohlm.hardware.servo_units import GRIPPERS, NECK, Servo
 
 BAUD = 1_000_000
 PERIOD_S = 0.02
+CHECK_EVERY = 50  # periods
 _PROTOCOL = 2.0
 _PINGS = 20
 _WAIT_S = 0.002  # that a read may wait for bytes; the SDK counts its own time-outs of some 35 ms
 _POSITION, _VELOCITY = servo_units.PRESENT_POSITION, servo_units.PRESENT_VELOCITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """What a servo says of itself.
+
+    Attributes:
+        torque: Whether it is switched on.
+        watchdog: After how many units of 20 ms without the bus it stops; ``WATCHDOG_ACTED`` once it has.
+        hardware_error: Bits of ``HARDWARE_ERRORS``.
+        temperature: Its temperature [Celsius].
+    """
+
+    torque: bool
+    watchdog: int
+    hardware_error: int
+    temperature: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether it goes where it is sent."""
+        return self.torque and self.watchdog == servo_units.WATCHDOG_UNITS and not self.hardware_error
+
+    @property
+    def errors(self) -> str:
+        """The names of its hardware errors; empty for none."""
+        bits = (bit for bit in range(8) if self.hardware_error >> bit & 1)
+        return ", ".join(servo_units.HARDWARE_ERRORS.get(bit, f"error bit {bit}") for bit in bits)
 
 
 class DynamixelBus:
@@ -94,10 +126,18 @@ class DynamixelBus:
             raise IndexError(f"no answer of servo {servo.id}")
         return _signed(self._reader.getData(servo.id, address, 4))
 
-    def temperature(self, servo: Servo) -> int:
-        """Return a servo's temperature [Celsius]; 0 where it does not answer."""
-        value, result, _ = self._packets.read1ByteTxRx(self._port, servo.id, servo_units.PRESENT_TEMPERATURE)
-        return int(value) if result == sdk.COMM_SUCCESS else 0
+    def condition(self, servo: Servo) -> Condition | None:
+        """Return what a servo says of itself, read at once; None where it does not answer."""
+        first, last = servo_units.TORQUE_ENABLE, servo_units.PRESENT_TEMPERATURE
+        found, result, _ = self._packets.readTxRx(self._port, servo.id, first, last - first + 1)
+        if result != sdk.COMM_SUCCESS or len(found) <= last - first:
+            return None
+        return Condition(
+            torque=bool(found[0]),
+            watchdog=int(found[servo_units.BUS_WATCHDOG - first]),
+            hardware_error=int(found[servo_units.HARDWARE_ERROR - first]),
+            temperature=int(found[last - first]),
+        )
 
     def close(self) -> None:
         """Close the port."""
@@ -123,7 +163,7 @@ class ServoProcess:
         self._bus = DynamixelBus(port, self._servos)
         self._goals, self._present = records.slot(folder, "servo_goals"), records.slot(folder, "servos")
         self._stop, self._errors, self._enabled = False, 0, False
-        self._temperatures = np.zeros(4, np.int16)
+        self._temperatures, self._reason = np.zeros(4, np.int16), ""
         self._serve(0)
 
     def run(self) -> None:
@@ -162,14 +202,37 @@ class ServoProcess:
         if found is None:
             self._errors += 1
             return
-        if count % 50 == 0:
-            self._temperatures[: len(self._servos)] = [self._bus.temperature(servo) for servo in self._servos]
-        fields: dict[str, Any] = {"temperature": self._temperatures, "errors": self._errors}
+        if count % CHECK_EVERY == 0:
+            self._reason = self._check()
+        fields: dict[str, Any] = {
+            "temperature": self._temperatures, "errors": self._errors,
+            "reason": self._reason.encode()[: records.REASON_SIZE],
+        }  # fmt: skip
         for name, group in (("neck", NECK), ("jaws", GRIPPERS)):
             if group[0].id in found:
                 fields[name] = [servo.value(found[servo.id][0]) for servo in group]
                 fields[f"{name}_dq"] = [servo.speed(found[servo.id][1]) for servo in group]
         self._present.write(records.record("servos", **fields), measured_ns)
+
+    def _check(self) -> str:
+        """Enable servos again that should hold and do not; returns why one still does not, empty where all do."""
+        found = self._conditions()
+        if self._enabled and not all(condition.holds for condition in found.values()):
+            self._bus.enable(True)
+            found = self._conditions()
+        for index, servo in enumerate(self._servos):
+            self._temperatures[index] = found[servo].temperature if servo in found else 0
+        for servo, condition in found.items():
+            if condition.hardware_error:
+                return f"servo {servo.id} has stopped: {condition.errors}"
+            if self._enabled and not condition.holds:
+                return f"servo {servo.id} cannot be switched on"
+        return ""
+
+    def _conditions(self) -> dict[Servo, Condition]:
+        """Return what the servos say that answer."""
+        asked = {servo: self._bus.condition(servo) for servo in self._servos}
+        return {servo: condition for servo, condition in asked.items() if condition is not None}
 
 
 def _signed(value: int) -> int:

@@ -1,6 +1,7 @@
 """A pseudo-terminal <-> four servos that speak Dynamixel's protocol 2.0, as far as this project's bus asks them to.
 
-Ping, read, write, sync read and sync write with their checksums; a servo whose bus watchdog runs out stops where it is.
+Ping, read, write, sync read and sync write with their checksums; a servo whose bus watchdog runs out stops where it is,
+and takes no goal until 0 is written to that; one with a hardware error cannot be switched on.
 """
 
 import contextlib
@@ -77,10 +78,9 @@ class SimulatedBus:
     def holds(self, servo: Servo) -> bool:
         """Return whether a servo holds: switched on, and its watchdog has heard of the bus."""
         with self._lock:
-            table = self._tables[servo.id]
-            units = table[servo_units.BUS_WATCHDOG]
-            silent = time.monotonic() - self._heard[servo.id]
-            return bool(table[servo_units.TORQUE_ENABLE]) and (units == 0 or silent <= 0.02 * units)
+            table = self._watched(servo.id)
+            acted = table[servo_units.BUS_WATCHDOG] == servo_units.WATCHDOG_ACTED
+            return bool(table[servo_units.TORQUE_ENABLE]) and not acted
 
     def goal(self, servo: Servo) -> float:
         """Return where a servo is sent [rad or m]."""
@@ -94,6 +94,11 @@ class SimulatedBus:
         self._put(servo.id, servo_units.PRESENT_POSITION, steps, 4)
         self._put(servo.id, servo_units.PRESENT_VELOCITY, round(servo.ratio * speed / servo_units.SPEED_STEP), 4)
 
+    def fail(self, servo: Servo, bit: int) -> None:
+        """Have a servo let go for good, with one of ``HARDWARE_ERRORS``."""
+        self._put(servo.id, servo_units.HARDWARE_ERROR, 1 << bit, 1)
+        self._put(servo.id, servo_units.TORQUE_ENABLE, 0, 1)
+
     def close(self) -> None:
         """Take the servos off the bus."""
         self._stop.set()
@@ -104,6 +109,22 @@ class SimulatedBus:
     def _put(self, number: int, address: int, value: int, size: int) -> None:
         with self._lock:
             self._tables[number][address : address + size] = value.to_bytes(size, "little", signed=size > 1)
+
+    def _watched(self, number: int) -> bytearray:
+        """Return a servo's table, once its watchdog has acted if it is time; the lock is held."""
+        table = self._tables[number]
+        units = table[servo_units.BUS_WATCHDOG]
+        if 0 < units < 128 and time.monotonic() - self._heard[number] > 0.02 * units:
+            table[servo_units.BUS_WATCHDOG] = servo_units.WATCHDOG_ACTED
+        return table
+
+    @staticmethod
+    def _refuses(table: bytearray, address: int, content: bytes) -> bool:
+        if address == servo_units.TORQUE_ENABLE:
+            return bool(table[servo_units.HARDWARE_ERROR])
+        acted = table[servo_units.BUS_WATCHDOG] == servo_units.WATCHDOG_ACTED
+        lifts = address == servo_units.BUS_WATCHDOG and content == b"\0"
+        return acted and not lifts and address in (servo_units.BUS_WATCHDOG, servo_units.GOAL_POSITION)
 
     def _serve(self) -> None:
         pending = b""
@@ -145,14 +166,15 @@ class SimulatedBus:
     def _write(self, number: int, address: int, content: bytes) -> None:
         if number in self._tables and number not in self.muted:
             with self._lock:
-                self._heard[number] = time.monotonic()
-                self._tables[number][address : address + len(content)] = content
+                table, self._heard[number] = self._watched(number), time.monotonic()
+                if not self._refuses(table, address, content):
+                    table[address : address + len(content)] = content
 
     def _answer_read(self, number: int, address: int, size: int) -> None:
         if number in self._tables and number not in self.muted:
             with self._lock:
-                self._heard[number] = time.monotonic()
-                content = bytes(self._tables[number][address : address + size])
+                table, self._heard[number] = self._watched(number), time.monotonic()
+                content = bytes(table[address : address + size])
             self._answer(number, content)
 
     def _answer(self, number: int, content: bytes) -> None:

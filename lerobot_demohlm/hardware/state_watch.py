@@ -16,8 +16,10 @@ from lerobot_demohlm.hardware.limits import Limits
 GRAVITY = 9.81  # m/s2
 _IMU_BLEND_S = 1.0  # over which the angle between both gravities is averaged
 _MOVING = 0.2  # rad/s: an encoder whose joint turns this fast does not say the same twice
-_BEHIND = 1000  # ticks: a counter further behind than this has begun again
 _OFF = 0.15  # rad: nor one whose joint is sent this far away
+_OUTSIDE = 0.05  # rad: what a joint may be outside its range, by the error of its zero
+_BEHIND = 1000  # ticks: a counter further behind than this has begun again
+_AHEAD = 100_000  # ticks: a counter further ahead than this is another robot's
 
 
 class StateWatch:
@@ -47,12 +49,14 @@ class StateWatch:
         """Age of the newest message that was believed [s]; infinite before the first."""
         return math.inf if self.state is None else 1e-9 * (time.monotonic_ns() - self.time_ns)
 
-    def take(self, content: bytes, now_ns: int | None = None) -> bool:
+    def take(self, content: bytes, now_ns: int | None = None, *, may_restart: bool = True) -> bool:
         """Take in a message; returns whether it is believed.
 
         Args:
             content: Its bytes.
             now_ns: When it arrived (``time.monotonic_ns``); now by default.
+            may_restart: Whether a tick far from the last one is a robot that has begun again. While its motors hold, it
+                is another robot.
         """
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         try:
@@ -67,7 +71,7 @@ class StateWatch:
             self.refused["numbers"] += 1
             return False
         before = self.state
-        if before is not None and not _advanced(before.tick, state.tick):
+        if before is not None and not _advanced(before.tick, state.tick, may_restart):
             self.refused["tick"] += 1
             return False
         if before is None:
@@ -99,6 +103,13 @@ class StateWatch:
         if self.state is None:
             return np.zeros(NUM_JOINTS, bool)
         return np.abs(self.state.dq[:NUM_JOINTS]) > self._limits.speed
+
+    def outside(self) -> np.ndarray:
+        """Return which joints are outside their ranges, (29,) bool."""
+        if self.state is None:
+            return np.zeros(NUM_JOINTS, bool)
+        q, ranges = self.state.q[:NUM_JOINTS], self._limits.ranges
+        return (q < ranges[:, 0] - _OUTSIDE) | (q > ranges[:, 1] + _OUTSIDE)
 
     def hottest(self) -> tuple[float, int]:
         """Return the highest temperature of a motor [Celsius], and which joint it is."""
@@ -134,7 +145,7 @@ class StateWatch:
         self.imu_error += min(dt / _IMU_BLEND_S, 1.0) * (angle - self.imu_error)
 
 
-def _advanced(before: int, now: int) -> bool:
-    """Return whether a counter of 32 bits has advanced; one that begins again counts as advanced."""
+def _advanced(before: int, now: int, may_restart: bool) -> bool:
+    """Return whether a counter of 32 bits has advanced; one that begins again does where it may."""
     ahead = (now - before) & 0xFFFFFFFF
-    return 0 < ahead < 2**32 - _BEHIND
+    return 0 < ahead < (2**32 - _BEHIND if may_restart else _AHEAD)

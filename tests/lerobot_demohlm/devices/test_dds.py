@@ -1,23 +1,144 @@
 """``demohlm_g1`` with ``backend=dds``: LeRobot's loop drives a simulated robot, through the deployment's controller.
 
-All need a machine that runs in real time.
+Slow ones need a machine that runs in real time.
 """
 
+import json
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import draccus
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from lerobot.robots.config import RobotConfig
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
-from lerobot_demohlm.devices import DemoHLMG1Config
+from lerobot_demohlm.devices import DemoHLMG1Config, dds
+from lerobot_demohlm.devices.config_g1 import DeviceError
+from lerobot_demohlm.devices.dds import DdsRobot
 from lerobot_demohlm.devices.g1 import DemoHLMG1
+from lerobot_demohlm.hardware import records
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.records import Mode
+from lerobot_demohlm.hardware.slots import Reading
 from tests.helpers.lerobot import run
 from tests.helpers.robot import free_domain
+
+
+class Scripted:
+    """A deployment whose robot does, at each look, the next thing of a list: mode, when it was entered, and why."""
+
+    def __init__(self, told: list[tuple[Mode, int, str]], ended: str = "") -> None:
+        self._told, self.requests, self.written = told, 0, 0
+        self.processes = {name: SimpleNamespace(exitcode=1 if name == ended else None) for name in ("control", "pose")}
+
+    mode = property(lambda self: self._told[0][0])
+    reason = property(lambda self: self._told[0][2])
+    standing = property(lambda self: self._told[0][0] == Mode.STAND and len(self._told) == 1)
+
+    @property
+    def since_ns(self) -> int:
+        if len(self._told) > 1:
+            self._told.pop(0)
+        return self._told[0][1]
+
+    def request(self, mode: Mode) -> None:
+        self.requests += 1
+
+    def read(self, name: str) -> Reading:
+        value = records.record("control", mode=self.mode, since_ns=1)
+        return Reading(value=value, number=1, time_ns=time.monotonic_ns())
+
+    def write_command(self, wanted: np.ndarray, run_ns: int, step: int) -> None:
+        self.written += 1
+
+    def check(self) -> None:
+        for name, process in self.processes.items():
+            if process.exitcode is not None:
+                raise RobotError(f"the process {name} ended (1)", "one that stays", "see its message")
+
+    def forget_ended(self) -> None:
+        self.processes = {name: each for name, each in self.processes.items() if each.exitcode is None}
+
+
+def robot_of(deployment: Scripted) -> DdsRobot:
+    made: Any = DdsRobot.__new__(DdsRobot)
+    made._deployment, made._step, made._told_of_hold = deployment, 1, False
+    return made
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dds, "BALANCE_S", 0.0)
+    monkeypatch.setattr(dds, "ASK_AGAIN_S", 0.0)
+
+
+_MISSING = [(Mode.DAMP, 1, "not asked to stand yet")] * 2 + [(Mode.DAMP, 1, "will not stand: no servos")] * 2
+
+
+def test_it_asks_to_stand_again_while_something_is_missing(at_once: None) -> None:
+    deployment = Scripted([*_MISSING, (Mode.STAND, 2, "operator"), (Mode.STAND, 2, "operator")])
+    robot_of(deployment)._stand()
+    assert deployment.requests >= 3
+
+
+@pytest.mark.parametrize("told", [
+    [*_MISSING, (Mode.STAND, 2, "operator"), (Mode.DAMP, 3, "fall: pelvis leans 0.90 rad")],
+    [*_MISSING, (Mode.DAMP, 3, "hot motor: 96 Celsius in left_knee")],
+    [*_MISSING, (Mode.DAMP, 1, "e-stop by remote")],
+], ids=["fall", "between two looks", "e-stop"])  # fmt: skip
+def test_it_does_not_ask_to_stand_again_once_the_robot_has_braked(told: list, at_once: None) -> None:
+    deployment = Scripted(told)
+    reason = told[-1][2]
+    with pytest.raises(DeviceError, match=reason.split(":")[0]):
+        robot_of(deployment)._stand()
+    assert deployment.requests <= len(_MISSING)
+
+
+def test_a_process_that_ends_leaves_the_robot_to_hold(caplog: pytest.LogCaptureFixture) -> None:
+    deployment = Scripted([(Mode.RUN, 1, "operator")], ended="pose")
+    robot = robot_of(deployment)
+    for _ in range(2):
+        robot.send(command.rest())
+    assert deployment.written == 2
+    assert sum("the process pose ended" in entry.getMessage() for entry in caplog.records) == 1
+    with pytest.raises(RobotError, match="the process control ended"):
+        robot_of(Scripted([(Mode.RUN, 1, "operator")], ended="control")).send(command.rest())
+
+
+def test_camera_and_tags_reach_the_deployment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = {"type": "intelrealsense", "serial_number_or_name": "0123456789"}
+    given: list[DeploymentSettings] = []
+
+    def refuse(settings: DeploymentSettings) -> None:
+        given.append(settings)
+        raise RobotError("a test", "its end", "nothing")
+
+    monkeypatch.setattr(dds, "Deployment", refuse)
+    options = [
+        "--robot.type=demohlm_g1", "--robot.backend=dds", "--robot.interface=lo", "--robot.pose_source=apriltag",
+        f"--robot.camera={json.dumps(camera)}", "--robot.tags=tags.json",
+    ]  # fmt: skip
+    config = draccus.parse(Wrapped, args=options).robot
+    assert isinstance(config, DemoHLMG1Config)
+    with pytest.raises(RobotError, match="a test"):
+        DdsRobot(config, get_task("LiftBox"))
+    assert json.loads(given[0].camera) == camera and given[0].tags == Path("tags.json")
+
+
+@dataclass
+class Wrapped:
+    """What LeRobot's commands have around a robot's options."""
+
+    robot: RobotConfig
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ Unmarked tests hold on a machine of any speed; those about times are slow ones.
 """
 
 import dataclasses
+import math
 import os
 import signal
 import threading
@@ -11,15 +12,18 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from gym_demohlm.control import command
+from gym_demohlm.control import command, controllers
 from gym_demohlm.errors import DemoHLMError, UnknownNameError
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
-from lerobot_demohlm.cli import main
+from lerobot_demohlm.cli import deploy, main
+from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware import recorder
-from lerobot_demohlm.hardware.deployment import Deployment
+from lerobot_demohlm.hardware.deployment import OPERATOR_S, Deployment, _identify
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault, Faults
@@ -119,6 +123,54 @@ def test_bad_options_are_one_line(
     assert main(given) == 2
     error = capsys.readouterr().err.strip()
     assert message in error and error.count("\n") == 0 and error.startswith("error: got ")
+
+
+class Quiet(Deployment):
+    """A deployment without processes."""
+
+    def __init__(self) -> None:
+        self._closed, self._quiet, self._turned_s, self.said = False, threading.Event(), math.nan, 0
+
+    def _say(self) -> None:
+        self.said += 1
+
+    def said_more(self) -> bool:
+        before = self.said
+        time.sleep(3 * OPERATOR_S)
+        return self.said > before
+
+
+def test_a_loop_of_keys_that_hangs_gives_no_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    deployment = Quiet()
+    thread = threading.Thread(target=deployment._operate, daemon=True)
+    thread.start()
+    until(deployment.said_more, 10.0)  # as under LeRobot, whose loop reads no keys
+    deployment.note_turn()
+    until(lambda: not deployment.said_more(), 10.0)
+    monkeypatch.setattr("lerobot_demohlm.hardware.deployment.TURN_S", 1e9)
+    until(deployment.said_more, 10.0)
+    deployment._closed = True
+    thread.join()
+
+
+def test_each_turn_of_the_keys_is_noted() -> None:
+    turns: list[int] = []
+    deployment: Any = SimpleNamespace(
+        mode=Mode.DAMP, reason="", request=print, estop=print, check=list, note_turn=lambda: turns.append(1)
+    )
+    options = deploy.Options(policy=Path(), task="LiftBox", interface="lo", hands_free=True, seconds=0.35)
+    deploy._operate(options, deployment)
+    assert turns
+
+
+def test_a_record_says_which_policy_and_which_controller(tmp_path: Path) -> None:
+    policy = save_policy(tmp_path / "policy")
+    (tmp_path / "last").symlink_to(policy)
+    found = _identify(DeploymentSettings(task="LiftBox", interface="lo", policy=tmp_path / "last"))
+    assert found == {
+        "policy": str(policy.resolve()), "policy_hash": policy_hash(policy), "controller": controllers.load().hash
+    }  # fmt: skip
+    assert _identify(DeploymentSettings(task="LiftBox", interface="lo", policy=None))["policy_hash"] is None
 
 
 def test_bad_faults_are_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_demohlm.hardware.control_process import refuse_other_robots
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.layout import LowCmd, LowState
 from lerobot_demohlm.hardware.link import LOW_CMD, LOW_STATE, Link, check_interface, configuration
@@ -64,6 +65,18 @@ def test_messages_go_to_another_process_and_back() -> None:
         assert reader.writers() == 1
     finally:
         other.kill()
+
+
+def test_two_robots_on_one_network_are_refused() -> None:
+    link = Link("lo", free_domain())
+    states, first = link.reader(LOW_STATE), link.writer(LOW_STATE)
+    until(lambda: states.writers() == 1, 20.0)
+    refuse_other_robots(states, "lo")
+    second = link.writer(LOW_STATE)
+    until(lambda: states.writers() == 2, 20.0)
+    with pytest.raises(RobotError, match="2 robots on lo; expected one"):
+        refuse_other_robots(states, "lo")
+    assert first is not second
 
 
 def test_only_the_named_interface_is_joined() -> None:

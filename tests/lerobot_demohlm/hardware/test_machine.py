@@ -101,6 +101,31 @@ def test_a_warm_motor_holds_and_a_full_disk_too() -> None:
     assert robot.machine.reason == "recorder: No space left on device"
 
 
+def test_servos_that_do_not_hold_hold_the_robot_and_keep_it_from_standing() -> None:
+    failed = replace(WELL, servos_failed="servo 2 has stopped: overload")
+    robot = Robot().running()
+    assert robot.see(failed) == Mode.HOLD and robot.machine.reason == "servos: servo 2 has stopped: overload"
+    robot = Robot()
+    assert robot.ask(Mode.STAND, failed) == Mode.DAMP and robot.machine.reason.startswith("will not stand: servos: ")
+
+
+def test_an_estop_that_is_pressed_in_damp_is_shown() -> None:
+    robot = Robot()
+    assert robot.see(estop="gamepad") == Mode.DAMP and robot.machine.reason == "e-stop by gamepad"
+    assert robot.see() == Mode.DAMP and robot.machine.reason == "e-stop by gamepad"
+
+
+@pytest.mark.parametrize(("changes", "reason"), [
+    ({"mode_machine": 6}, "mode_machine 6, not 5"), ({"q": np.float32(3.0)}, "outside its range: left_hip_pitch"),
+])  # fmt: skip
+def test_another_kind_of_robot_does_not_stand(changes: dict[str, object], reason: str) -> None:
+    robot = Robot()
+    robot.watch = StateWatch(Limits())
+    robot.tell(**changes)
+    assert robot.ask(Mode.STAND) == Mode.DAMP
+    assert robot.machine.reason.startswith(f"will not stand: {reason}")
+
+
 def test_only_the_operator_leads_out_of_hold_and_damp() -> None:
     robot = Robot().running()
     assert robot.ask(Mode.HOLD) == Mode.HOLD and robot.see() == Mode.HOLD

@@ -2,12 +2,13 @@
 
 import os
 import struct
+import termios
 from pathlib import Path
 
 import pytest
 
 from lerobot_demohlm.hardware.errors import RobotError
-from lerobot_demohlm.hardware.operator_inputs import KEYS, Gamepad, obey_key
+from lerobot_demohlm.hardware.operator_inputs import KEYS, Gamepad, obey_key, terminal_keys
 from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.robot import until
 
@@ -23,6 +24,18 @@ def test_keys() -> None:
     assert asked == [Mode.STAND, Mode.RUN, Mode.HOLD, Mode.DAMP]
     assert stopped == ["key", "key"]
     assert ended == [False] * 8 + [True]
+
+
+def test_ctrl_s_does_not_stop_the_terminal_while_keys_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with terminal_keys() as next_key:
+            assert not termios.tcgetattr(theirs)[0] & termios.IXON
+            os.write(ours, b"s")
+            assert next_key(5.0) == "s"
+        assert termios.tcgetattr(theirs)[0] & termios.IXON
+    os.close(ours)
 
 
 def test_a_gamepads_buttons_and_its_loss(tmp_path: Path) -> None:

@@ -22,12 +22,13 @@ from gym_demohlm.perception.tag_file import read_tags
 from gym_demohlm.perception.wire import Request
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
-from lerobot_demohlm.hardware import records, robot_observation, world_topic
+from lerobot_demohlm.hardware import pose_process, records, robot_observation, world_topic
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import WORLD, Link
 from lerobot_demohlm.hardware.odometry import odometry_camera
-from lerobot_demohlm.hardware.pose_process import PoseSettings, _record
+from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings, _record
 from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource, _Seen
+from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.pose_servers import replying, told
 from tests.helpers.robot import free_domain
 
@@ -73,9 +74,6 @@ class Pictures:
 
     def color(self) -> np.ndarray | None:
         return self._pictures.pop(0) if self._pictures else None
-
-    def depth(self, shape: tuple[int, ...]) -> np.ndarray:
-        return np.zeros(shape[:2], np.float32)
 
     def intrinsics(self, shape: tuple[int, ...]) -> Intrinsics:
         return self._known
@@ -126,6 +124,52 @@ def test_a_silent_server_gives_no_look() -> None:
         pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)], head_intrinsics(64, 48))
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
         assert ServerSource(TASK, settings, pictures)(np.eye(4)) is None
+
+
+def test_what_a_server_was_asked_before_the_source_forgot_is_not_believed() -> None:
+    heard: list[Request] = []
+
+    def reply(request: Request) -> bytes:
+        heard.append(request)
+        time.sleep(0.5 if request.frame == 0 else 0.0)
+        return told(request)
+
+    with replying(reply) as address:
+        pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)] * 2000, head_intrinsics(64, 48))
+        settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
+        source, look, until = ServerSource(TASK, settings, pictures), None, time.monotonic() + 20.0
+        assert source(np.eye(4)) is None, "the answer is late"
+        source.forget()
+        while look is None and time.monotonic() < until:
+            look = source(np.eye(4))
+    assert look is not None and heard[-1].frame > 0 and heard[0].session != heard[-1].session
+    assert not heard[0].depth.any(), "LeRobot's depth is not seen from where the picture is"
+
+
+class Remembers:
+    """A source that counts how often it has forgotten."""
+
+    forgotten = 0
+
+    def __call__(self, T_odometry_camera: np.ndarray) -> None:
+        """Look at nothing."""
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+
+def test_who_stands_up_has_not_seen_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Remembers()
+    monkeypatch.setattr(pose_process, "make_source", lambda *_: source)
+    process = PoseProcess(PoseSettings(source="exact", task="LiftBox", folder=tmp_path, interface="lo"))
+    control, found = records.slot(tmp_path, "control"), []
+    for mode, since_ns in (
+        (Mode.DAMP, 1), (Mode.STAND, 2), (Mode.STAND, 2), (Mode.RUN, 3), (Mode.HOLD, 4), (Mode.STAND, 5)
+    ):  # fmt: skip
+        control.write(records.record("control", mode=mode, since_ns=since_ns))
+        process._look()
+        found.append(source.forgotten)
+    assert found == [0, 1, 1, 1, 1, 2]
 
 
 @pytest.mark.parametrize("yaw", [0.2, 1.4, 2.9, -2.0])
@@ -215,3 +259,6 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     held = turned @ later.estimate.T_camera_object[0, 0]
     np.testing.assert_allclose(held, found, atol=1e-12, err_msg="out of sight it stays where it was, the head turns")
     assert source(np.eye(4)) is None
+    camera._pictures.append(np.zeros((480, 640, 3), np.uint8))
+    source.forget()
+    assert source(np.eye(4)) is None, "it has to be seen again"

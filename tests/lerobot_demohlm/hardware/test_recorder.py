@@ -116,3 +116,32 @@ def test_a_full_disk_is_said_and_the_recorder_lives_on(tmp_path: Path) -> None:
         process.kill()
         process.wait()
     assert recorder.read(tmp_path / "record").num_rows >= ROWS, "what was written before is whole after a kill"
+
+
+_PARENT = """
+import multiprocessing, sys, time
+from pathlib import Path
+from types import SimpleNamespace
+from lerobot_demohlm.hardware import processes
+from lerobot_demohlm.hardware.recorder import Recorder
+
+folder = Path(sys.argv[1])
+settings = SimpleNamespace(root=folder / "record")
+multiprocessing.get_context("fork").Process(target=processes.run_process, args=("recorder", settings, folder)).start()
+time.sleep(600.0)
+"""
+
+
+def test_a_recorder_whose_parent_is_killed_writes_what_it_has(tmp_path: Path) -> None:
+    parent = subprocess.Popen([sys.executable, "-c", _PARENT, str(tmp_path)])
+    try:
+        until(lambda: (tmp_path / "recorder.ready").exists(), 120.0)
+        fill(tmp_path, Mode.RUN, "operator", 7)
+        began = records.slot(tmp_path, "recorder")
+        until(lambda: began.read() is not None, 60.0)
+        time.sleep(0.5)
+    finally:
+        parent.kill()
+        parent.wait()
+    until(lambda: any((tmp_path / "record").glob("*.parquet")), 60.0)
+    assert recorder.read(tmp_path / "record")["state.tick"].to_pylist() == [7]

@@ -8,7 +8,7 @@ import pytest
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.servo_units import GRIPPERS, NECK, goals
-from lerobot_demohlm.hardware.servos import DynamixelBus, ServoProcess
+from lerobot_demohlm.hardware.servos import CHECK_EVERY, DynamixelBus, ServoProcess
 from lerobot_demohlm.hardware.simulated_bus import SimulatedBus, checksum
 from tests.helpers.robot import until
 
@@ -30,7 +30,8 @@ def test_goals_arrive_and_positions_come_back() -> None:
         assert read is not None
         assert ALL[1].value(read[2][0]) == pytest.approx(value, abs=1e-3)
         assert ALL[1].speed(read[2][1]) == pytest.approx(speed, abs=0.02)
-    assert bus.temperature(ALL[0]) == 35
+    condition = bus.condition(ALL[0])
+    assert condition is not None and condition.temperature == 35 and condition.holds
     bus.close()
     simulated.close()
 
@@ -73,6 +74,46 @@ def test_the_process_moves_the_neck_only_while_goals_are_new(tmp_path: Path) -> 
     goal.write(records.record("servo_goals", neck=[0.4, 0.2], enabled=True), 0)  # long ago
     process._serve(1)
     until(lambda: not simulated.holds(NECK[0]), 5.0)
+    process._bus.close()
+    simulated.close()
+
+
+def test_a_watchdog_that_has_acted_stays_until_the_servo_is_enabled_again(tmp_path: Path) -> None:
+    simulated = SimulatedBus(NECK)
+    process = ServoProcess(tmp_path, simulated.port, "LiftBox")
+    goal = records.slot(tmp_path, "servo_goals")
+
+    def serve(count: int, angle: float) -> None:
+        goal.write(records.record("servo_goals", neck=[angle, 0.0], enabled=True))
+        process._serve(count)
+
+    serve(1, 0.4)
+    until(lambda: not simulated.holds(NECK[0]), 5.0)  # as after a pause of the process
+    serve(2, 0.1)
+    assert not simulated.holds(NECK[0]) and simulated.goal(NECK[0]) != pytest.approx(0.1, abs=2e-3)
+
+    def served_again() -> bool:
+        serve(CHECK_EVERY, 0.1)
+        serve(CHECK_EVERY + 1, 0.1)
+        return simulated.goal(NECK[0]) == pytest.approx(0.1, abs=2e-3)
+
+    until(served_again, 20.0)
+    assert process._reason == ""
+    process._bus.close()
+    simulated.close()
+
+
+def test_a_servo_that_cannot_hold_is_told_with_its_reason(tmp_path: Path) -> None:
+    simulated = SimulatedBus(NECK)
+    process = ServoProcess(tmp_path, simulated.port, "LiftBox")
+    goal, present = records.slot(tmp_path, "servo_goals"), records.slot(tmp_path, "servos")
+    simulated.fail(NECK[1], 5)
+    goal.write(records.record("servo_goals", neck=[0.4, 0.2], enabled=True))
+    process._serve(CHECK_EVERY)
+    process._serve(CHECK_EVERY + 1)
+    reading = present.read()
+    assert reading is not None and records.text(reading.value["reason"]) == "servo 2 has stopped: overload"
+    assert not simulated.holds(NECK[1])
     process._bus.close()
     simulated.close()
 

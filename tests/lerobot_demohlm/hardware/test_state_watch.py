@@ -63,6 +63,15 @@ def test_a_counter_that_wraps_goes_on() -> None:
     assert all(watch.take(state(tick).to_bytes()) for tick in (2**32 - 2, 2**32 - 1, 0, 1))
 
 
+def test_a_counter_that_begins_again_is_another_robot_while_motors_hold() -> None:
+    watch = StateWatch(Limits())
+    assert watch.take(state(500_000).to_bytes())
+    for other in (1, 2_000_000):
+        assert not watch.take(state(other).to_bytes(), may_restart=False)
+    assert watch.take(state(500_020).to_bytes(), may_restart=False)
+    assert watch.take(state(1).to_bytes())
+
+
 def test_a_stuck_encoder_is_found_where_its_joint_should_move() -> None:
     watch = fed(Fault(kind="stuck_encoder", at_s=1.0, joint="left_knee"))
     knee = Fault(kind="stuck_encoder", at_s=0.0, joint="left_knee").index

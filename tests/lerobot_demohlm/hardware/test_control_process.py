@@ -1,0 +1,118 @@
+"""The control process without a robot: what ends it, what it does then, and sleep that the machine itself slept."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from lerobot_demohlm.hardware import control_process
+from lerobot_demohlm.hardware.control_process import FAREWELL, ControlProcess
+from lerobot_demohlm.hardware.records import Mode
+from tests.helpers.robot import until
+
+_DEPLOYMENT = """
+import fcntl, multiprocessing, os, sys, termios, time
+from pathlib import Path
+from types import SimpleNamespace
+from lerobot_demohlm.hardware import processes
+from lerobot_demohlm.hardware.control_process import ControlProcess
+from lerobot_demohlm.hardware.records import Mode
+
+folder = Path(sys.argv[1])
+if os.isatty(0):
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+class Control(ControlProcess):  # without network, robot and controller
+    _machine_mode = 5
+    def __init__(self):
+        self._stop, self._late, self._wire, self._machine = False, 0, self, SimpleNamespace(mode=Mode.RUN)
+    def _look(self):
+        return False
+    def _tick(self):
+        (folder / "pid").write_text(str(os.getpid()))
+    def damp(self, mode):
+        with (folder / "braked").open("a") as file:
+            file.write("x")
+
+processes._make = lambda *_: Control()
+child = multiprocessing.get_context("fork").Process(target=processes.run_process, args=("control", None, folder))
+child.start()
+try:
+    time.sleep(600.0)
+except KeyboardInterrupt:
+    child.terminate()
+    child.join()
+"""
+
+
+def started(folder: Path, terminal: int) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-c", _DEPLOYMENT, str(folder)], stdin=terminal, stdout=terminal, stderr=terminal,
+        start_new_session=True,
+    )  # fmt: skip
+
+
+def hang_up(terminal: int, parent: int) -> None:
+    os.close(terminal)
+
+
+def press(key: bytes) -> Callable[[int, int], None]:
+    def end(terminal: int, parent: int) -> None:
+        os.write(terminal, key)
+
+    return end
+
+
+@pytest.mark.parametrize("end", [
+    hang_up, press(b"\x03"), press(b"\x1c"), lambda terminal, parent: os.kill(parent, signal.SIGKILL),
+], ids=["hang up", "Ctrl-C", "Ctrl-backslash", "killed"])  # fmt: skip
+def test_however_its_terminal_or_its_parent_ends_it_brakes(end: Callable[[int, int], None], tmp_path: Path) -> None:
+    terminal, theirs = os.openpty()
+    parent = started(tmp_path, theirs)
+    os.close(theirs)
+    until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text() != "", 60.0)
+    assert os.getpgid(int((tmp_path / "pid").read_text())) != os.getpgid(parent.pid), "it is stopped by Ctrl-Z"
+    assert not (tmp_path / "braked").exists()
+    end(terminal, parent.pid)
+    until(lambda: (tmp_path / "braked").exists() and len((tmp_path / "braked").read_text()) == FAREWELL, 30.0)
+    parent.wait()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
+def test_whatever_signal_asks_for_its_end_it_brakes(number: signal.Signals, tmp_path: Path) -> None:
+    parent = started(tmp_path, subprocess.DEVNULL)
+    try:
+        until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text() != "", 60.0)
+        os.kill(int((tmp_path / "pid").read_text()), number)
+        until(lambda: (tmp_path / "braked").exists() and len((tmp_path / "braked").read_text()) == FAREWELL, 30.0)
+    finally:
+        parent.kill()
+        parent.wait()
+
+
+def test_a_machine_that_was_suspended_has_slept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linux's monotonic clock stands still then; the clock since boot goes on."""
+    suspended_s, slept = 0.0, []
+
+    def clock(which: int) -> int:
+        return time.monotonic_ns() + round(1e9 * suspended_s) * (which == time.CLOCK_BOOTTIME)
+
+    monkeypatch.setattr(control_process.time, "clock_gettime_ns", clock)
+    process: Any = ControlProcess.__new__(ControlProcess)
+    process._looked_ns = clock(time.CLOCK_BOOTTIME)
+    process._states = SimpleNamespace(take=list)
+    process._machine = SimpleNamespace(mode=Mode.RUN, update=lambda *_: False)
+    process._watch = process._sent_q = None
+    process._request = lambda: None
+    process._observe = slept.append
+    process._look()
+    suspended_s = 3600.0
+    process._look()
+    assert slept[0] < 3600.0 < slept[1]
