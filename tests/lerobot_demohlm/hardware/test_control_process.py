@@ -18,7 +18,7 @@ from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.robot import until
 
 _DEPLOYMENT = """
-import fcntl, multiprocessing, os, sys, termios, time
+import fcntl, multiprocessing, os, signal, sys, termios, time
 from pathlib import Path
 from types import SimpleNamespace
 from lerobot_demohlm.hardware import processes
@@ -26,6 +26,9 @@ from lerobot_demohlm.hardware.control_process import ControlProcess
 from lerobot_demohlm.hardware.records import Mode
 
 folder = Path(sys.argv[1])
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for number in (signal.SIGHUP, signal.SIGQUIT):  # tests in the background may have been started with these ignored
+    signal.signal(number, signal.SIG_DFL)
 if os.isatty(0):
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
