@@ -22,8 +22,8 @@ GO = "go"  # a file: everything but the controller is ready
 def run_process(name: str, settings: DeploymentSettings, folder: Path) -> None:
     """Be one of the processes of a deployment, until it ends.
 
-    It leaves the terminal: what is typed there, and its end, reach the process that started it alone. When that ends in
-    whatever way, all others end, the controller braking the motors and the recorder writing what it has.
+    It leaves the terminal's group: what is typed there, and its end, reach the process that started it alone. When that
+    ends in whatever way, all others end, the controller braking the motors and the recorder writing what it has.
 
     Where a process refuses what it was given, it writes why to ``<name>.error`` and ends with exit status 2. Where it
     is ready, it makes ``<name>.ready``.
@@ -33,7 +33,7 @@ def run_process(name: str, settings: DeploymentSettings, folder: Path) -> None:
         settings: What is deployed.
         folder: Of the slots, and of these files.
     """
-    os.setsid()
+    os.setpgid(0, 0)  # not a session of its own: there its priority would count for nothing (Linux's autogroups)
     try:
         _make(name, settings, folder).run()
     except DemoHLMError as error:
