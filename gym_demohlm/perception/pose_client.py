@@ -56,8 +56,8 @@ class PoseClient:
         """Show the next picture, and return what the server says of it or of an earlier one; None where it is silent.
 
         Args:
-            request: Its ``frame`` is one more than the last one's, and its ``dt_s`` the time since that one; the server
-                is told the time since the last one that it was sent.
+            request: Its ``frame`` is one more than the last one's, and its ``dt_s`` the time since that one. What is sent
+                has the time since the last picture that was sent.
         """
         wait_ms = self._timeout_ms
         self._unsent_s += request.dt_s

@@ -160,8 +160,8 @@ def _column(name: str) -> int | None:
 def _follow_episodes(shown: live.Operated, begin: Callable[[], None]) -> Callable[[], None]:
     """Have something done whenever a dataset of this process has stored an episode or dropped it; returns the undoing.
 
-    LeRobot tells a robot nothing of episodes; the world must begin anew between the last frame of one and the first of
-    the next, and nowhere else: ``shown`` is told whether there are frames.
+    LeRobot tells a robot nothing of episodes. The world must begin anew between the last frame of one and the first of
+    the next, and nowhere else. So ``shown.recorded`` says whether the present one has frames.
     """
     from lerobot.datasets import LeRobotDataset
 
