@@ -56,8 +56,8 @@ class PoseClient:
         """Show the next picture, and return what the server says of it or of an earlier one; None where it is silent.
 
         Args:
-            request: Its ``frame`` is one more than the last one's, and its ``dt_s`` the time since that one. What is sent
-                has the time since the last picture that was sent.
+            request: Its ``frame`` is one more than the last one's, and its ``dt_s`` the time since that one. The
+                server gets the time since the last picture that was sent instead.
         """
         wait_ms = self._timeout_ms
         self._unsent_s += request.dt_s
