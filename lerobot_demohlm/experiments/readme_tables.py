@@ -143,7 +143,7 @@ def results_page(results: Path) -> str:
     intro = (
         "# Results\n\nEvery table on this page is made from the JSON lines in `results/` by\n"
         "`demohlm results --output docs/results.md`. A line keeps its command and its commit; `+` marks a working\n"
-        "tree that differed from the commit."
+        "tree that differed from the commit, in older lines perhaps in `results/` alone."
     )
     return f"{intro}\n\n## What these numbers do not say\n\n{CAVEATS}\n{tables(results)}\n"
 

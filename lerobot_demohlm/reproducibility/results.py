@@ -27,12 +27,14 @@ def append_result(path: Path, command: str, values: Mapping[str, Any]) -> dict[s
 def commit() -> str:
     """Return the commit of this package's code, with ``+`` where files that git tracks differ from it.
 
-    It is "unknown" where there is no git, or where the package was installed instead of being run from a repository.
+    Files in ``results/`` do not count: a run that writes its lines there would mark the next one. It is
+    "unknown" where there is no git, or where the package was installed instead of being run from a repository.
     """
     try:
         if not _git("ls-files", Path(__file__).name):
             return "unknown"  # a repository may hold an environment in which this package is installed
-        return _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", "-uno") else "")
+        changed = _git("status", "--porcelain", "-uno", "--", ":/", ":(top,exclude)results")
+        return _git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 

@@ -27,6 +27,23 @@ def test_code_in_an_environment_within_a_repository_has_no_commit(
     assert results.commit() == "unknown"
 
 
+def test_changed_code_is_marked_and_lines_of_results_are_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, lines = tmp_path / "package" / "results.py", tmp_path / "results" / "found.jsonl"
+    for path in (code, lines):
+        path.parent.mkdir()
+        path.touch()
+    who = ["-c", "user.name=A", "-c", "user.email=a@b.c"]
+    for words in (["init", "-q"], ["add", "."], [*who, "commit", "-q", "-m", "first"]):
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
+    monkeypatch.setattr(results, "__file__", str(code))
+    first = results.commit()
+    assert first not in ("", "unknown") and not first.endswith("+")
+    lines.write_text("{}\n")
+    assert results.commit() == first
+    code.write_text("changed\n")
+    assert results.commit() == first + "+"
+
+
 def test_without_git_a_line_is_written_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     results.append_result(tmp_path / "found.jsonl", "a command", {"rate": 1.0})
