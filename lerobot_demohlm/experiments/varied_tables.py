@@ -116,8 +116,8 @@ def sizes_table(results: Path) -> str:
 def steps_table(results: Path) -> str:
     """Return strict success [%] in worlds that vary by the number of training steps, where several were tried.
 
-    The last column is Fisher's exact test of the longest training against the shortest. Below them are the means of
-    all tasks: each counts with its longest training of at most as many steps.
+    The last column is Fisher's exact test of the shortest training against the longest that it can be compared with.
+    Below them are the means of all tasks: each counts with its longest training of at most as many steps.
 
     Args:
         results: Folder of JSON lines.
@@ -131,7 +131,8 @@ def steps_table(results: Path) -> str:
     rows = []
     for (region, policy, task), by_steps in several.items():
         rates = [_shown(*_cell(by_steps.get(steps, []))) for steps in columns]
-        rows.append([task, region, TITLES[policy], *rates, _chance(by_steps[min(by_steps)], by_steps[max(by_steps)])])
+        tested = [_chance(by_steps[min(by_steps)], by_steps[steps]) for steps in sorted(by_steps, reverse=True)[:-1]]
+        rows.append([task, region, TITLES[policy], *rates, next((p for p in tested if p != "-"), "-")])
     tasks = dict.fromkeys(task for _, _, task in trainings)
     for region, policy in dict.fromkeys((region, policy) for region, policy, _ in several):
         of_tasks = [trainings.get((region, policy, task), {}) for task in tasks]
