@@ -27,7 +27,7 @@ def append_result(path: Path, command: str, values: Mapping[str, Any]) -> dict[s
 def commit() -> str:
     """Return the commit of this package's code, with ``+`` where files that git tracks differ from it.
 
-    Files in ``results/`` do not count: a run that writes its lines there would mark the next one. It is
+    Files in ``results/`` do not count, as the lines that a run writes there would mark the next run. The commit is
     "unknown" where there is no git, or where the package was installed instead of being run from a repository.
     """
     try:

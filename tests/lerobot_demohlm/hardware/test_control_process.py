@@ -88,7 +88,7 @@ def test_however_its_terminal_or_its_parent_ends_it_brakes(end: Callable[[int, i
     parent.wait()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
 def test_whatever_signal_asks_for_its_end_it_brakes(number: signal.Signals, tmp_path: Path) -> None:
     parent = started(tmp_path, subprocess.DEVNULL)
     try:
