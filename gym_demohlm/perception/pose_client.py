@@ -4,6 +4,7 @@ The client asks for nothing new while it waits for an answer. An answer that com
 its picture. What cannot be used is counted, with its reason.
 """
 
+import time
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from gym_demohlm.perception import wire
 NO_ANSWER = "no answer in time"
 LATE = "an answer that came late"
 _LOST = "an object that the server has lost"
-_GIVEN_UP = 20  # pictures after which a server that has not answered is called anew
+GIVEN_UP_S = 2.0  # after which a server that has not answered is called anew, once the wait for it is over
 _GLANCE_MS = 20  # how long an answer is waited for that was late already
 
 
@@ -49,6 +50,7 @@ class PoseClient:
         self._context, self._address, self._timeout_ms = context, address, round(1e3 * timeout_s)
         self._socket: zmq.Socket[bytes] | None = None
         self._asked: wire.Request | None = None
+        self._asked_s = 0.0  # when, by ``time.monotonic``
         self._unsent_s = 0.0  # since the last picture that was sent
         self.faults: Counter[str] = Counter()
 
@@ -65,9 +67,15 @@ class PoseClient:
             self._asked = replace(request, dt_s=self._unsent_s)
             self._unsent_s = 0.0
             self._called().send_multipart([b"", *wire.pack_request(self._asked)])
+            self._asked_s = time.monotonic()
         else:
             wait_ms = min(wait_ms, _GLANCE_MS)
         return self._heard(request.frame, wait_ms)
+
+    @property
+    def asked(self) -> int | None:
+        """Number of the picture whose answer is waited for; None where none is."""
+        return None if self._asked is None else self._asked.frame
 
     def close(self) -> None:
         """Hang up."""
@@ -89,7 +97,7 @@ class PoseClient:
         assert asked is not None
         if not socket.poll(wait_ms):
             self.faults[NO_ANSWER] += 1
-            if frame - asked.frame >= _GIVEN_UP:
+            if time.monotonic() - self._asked_s > max(GIVEN_UP_S, 2e-3 * self._timeout_ms):
                 self.close()
             return None
         message = socket.recv_multipart()[-1]

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 
 import mujoco
+import numpy as np
 
 from gym_demohlm.robot.g1 import ROBOT_BIT, WORLD_BIT
 
@@ -77,6 +78,25 @@ def add_picture(
     """Add a primitive that is visible and has the given mass, but never collides; arguments as in ``add_shape``."""
     size = [*half_size, *[0.0] * (3 - len(half_size))]
     geom = body.add_geom(type=_SHAPES[shape], size=size, pos=list(position), rgba=list(rgba), mass=mass)
+    geom.contype, geom.conaffinity = 0, 0
+    return geom
+
+
+def add_flat_picture(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, outline: np.ndarray, half_height: float, rgba: Rgba = WOOD
+) -> mujoco.MjsGeom:
+    """Add a flat thing of any convex outline that is visible, but has no mass and never collides.
+
+    Args:
+        spec: The scene; its mesh is called like the body.
+        body: Body that gets the geom.
+        outline: (n, 2) corners around the body's origin, x and y [m].
+        half_height: Half of its thickness along the body's z [m].
+        rgba: Colour, 0 to 1.
+    """
+    corners = [[x, y, z] for z in (-half_height, half_height) for x, y in outline]
+    spec.add_mesh(name=body.name, uservert=np.ravel(corners))
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=body.name, rgba=list(rgba), mass=0.0)
     geom.contype, geom.conaffinity = 0, 0
     return geom
 

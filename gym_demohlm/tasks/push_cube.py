@@ -2,17 +2,19 @@
 
 Source: the paper's "Task Settings" and "Success Conditions". Left is the world's positive y, wherever the robot stands.
 The robot pushes square to a face, up to 45 degrees off, so it pushes further than 0.1 m. Changed: the cube's pose
-alone does not show the world's y, so a field on the table, which is tracked too, shows where the cube should go; the
-cube must still stand on the table, and the right palm must have pushed it, because a blow may send it as far. The
-region's y and z offsets move the table with the cube.
+alone does not show the world's y, so a field on the table, which is tracked too, shows where the cube should go: it is
+all of the table's top that lies further left than the cube's middle must come. The cube must still stand on the table,
+and the right palm must have pushed it, because a blow may send it as far. The region's y and z offsets move the table
+with the cube.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_picture, add_round_table
+from gym_demohlm.scene.furniture import QUARTER_TURNS, add_cube, add_flat_picture, add_round_table
 from gym_demohlm.task import Memory, ObjectSpec, Task, dropped
 
 if TYPE_CHECKING:
@@ -28,8 +30,9 @@ PUSHED_DISTANCE = 0.1  # m
 PUSHED_SHARE = 0.8  # of it, with the palm on the cube
 PUSHING_N = 0.5  # least force of a palm that pushes
 STRUCK = 0.035  # m in a step; what is faster is struck, not pushed
-FIELD_HALF_SIZE = (0.06, 0.08, 0.002)  # m; the cube's middle must come onto it
-FIELD_POSITION = (CUBE_POSITION[0], CUBE_POSITION[1] + PUSHED_DISTANCE + FIELD_HALF_SIZE[1], TABLE_HEIGHT)
+FIELD_EDGE = CUBE_POSITION[1] + PUSHED_DISTANCE  # m, y of the field's straight edge, which the cube's middle must pass
+FIELD_POSITION = (CUBE_POSITION[0], FIELD_EDGE + 0.08, TABLE_HEIGHT)  # the place of the field that is tracked
+FIELD_HALF_HEIGHT, FIELD_RIM = 0.002, 0.002  # m; the rim is what of the table's top is left around the field
 DROPPED, OVER_RIM = dropped("cube", 0.05), dropped("cube", 0.01)  # m below its start
 
 
@@ -37,10 +40,18 @@ def _build(spec: mujoco.MjSpec) -> None:
     table = add_round_table(spec, TABLE_POSITION, TABLE_RADIUS, TABLE_HEIGHT, up_to_rim=True)
     offset = [FIELD_POSITION[0] - TABLE_POSITION[0], FIELD_POSITION[1] - TABLE_POSITION[1], TABLE_HEIGHT]
     field = table.add_body(name="field", pos=offset)
-    add_picture(field, "box", FIELD_HALF_SIZE, rgba=(0.35, 0.60, 0.35, 1.0))
+    add_flat_picture(spec, field, _field_outline() - offset[:2], FIELD_HALF_HEIGHT, rgba=(0.35, 0.60, 0.35, 1.0))
     (cube,) = add_cube(spec, "cube", CUBE_POSITION, CUBE_EDGE, CUBE_MASS, rgba=(0.16, 0.42, 0.72, 1.0)).geoms
     cube.priority = 1  # its friction counts, not the table's; with the palm, which has priority too, the higher one
     cube.friction[0] = CUBE_FRICTION
+
+
+def _field_outline() -> np.ndarray:
+    """Return the corners (n, 2) of the table's top beyond the field's edge, in the table's frame [m]."""
+    radius = TABLE_RADIUS - FIELD_RIM
+    first = math.asin((FIELD_EDGE - TABLE_POSITION[1]) / radius)
+    angles = np.linspace(first, math.pi - first, 33)
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _moved(sim: "Worlds") -> np.ndarray:

@@ -19,6 +19,8 @@ from lerobot_demohlm.devices.mirror import Mirror
 from lerobot_demohlm.hardware import remote, robot_observation
 from lerobot_demohlm.hardware.deployment import ASK_AGAIN_S, Deployment
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
+from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.motion_switcher import refuse_own_controller
 from lerobot_demohlm.hardware.records import Mode
 
 BALANCE_S = 3.0  # that it stands before it runs
@@ -47,7 +49,7 @@ class DdsRobot:
 
     It stands once it is connected, and runs from the first action of an episode on. A loop that has been silent for
     too long finds it holding until the next episode. On ``lo`` it is a simulated robot; any other waits for its remote:
-    start to stand, A to run.
+    start to stand, A to run. It goes on standing until A is pressed and what it needs is there.
 
     Args:
         config: Where it is.
@@ -55,15 +57,19 @@ class DdsRobot:
 
     Attributes:
         mirror: What a teleoperator sees of it.
+        stays: See ``live.Operated``.
 
     Raises:
         DemoHLMError: It was refused; nothing has moved.
         DeviceError: It does not stand or run.
     """
 
+    stays = True
+
     def __init__(self, config: DemoHLMG1Config, task: Task) -> None:
         self._objects, self._step, self._by_remote = len(task.objects), 0, config.interface != "lo"
         self._told_of_hold = False
+        refuse_own_controller(config.interface, config.domain)
         self._deployment = Deployment(
             DeploymentSettings(
                 task=task.name,
@@ -106,14 +112,17 @@ class DdsRobot:
     def send(self, wanted: np.ndarray) -> None:
         """Hand an action (23,) to the controller; a warning says once an episode that a robot that holds ignores it.
 
+        At the first action of an episode it waits until the robot runs. One that does not within the time stands on,
+        and the next action asks again.
+
         Raises:
             DeviceError: The robot brakes its motors.
             RobotError: Its controller has ended.
         """
         deployment = self._deployment
         self._check()
-        if self._step == 0 and deployment.mode in (Mode.STAND, Mode.HOLD):
-            self._run()
+        if self._step == 0 and deployment.mode in (Mode.STAND, Mode.HOLD) and not self._runs():
+            return
         control = deployment.read("control")
         if control is None or int(control.value["mode"]) == Mode.DAMP:
             raise DeviceError(f"a robot that brakes its motors ({deployment.reason})", "one that runs", "connect again")
@@ -171,11 +180,22 @@ class DdsRobot:
             time.sleep(_PAUSE_S)
         time.sleep(BALANCE_S)
 
-    def _run(self) -> None:
-        """Run, from rest until an action comes."""
-        self._allow("A")
-        self._deployment.write_command(command.rest(), -1, 0)
-        self._deployment.run(PATIENCE_S)
+    def _runs(self) -> bool:
+        """Have it run, and return whether it does.
+
+        Raises:
+            RobotError: It has braked its motors.
+        """
+        try:
+            self._allow("A")
+            self._deployment.write_command(command.rest(), -1, 0)  # of no run: it says that actions will come
+            self._deployment.run(PATIENCE_S)
+        except (DeviceError, RobotError) as error:
+            if self._deployment.mode == Mode.DAMP:
+                raise
+            _log.warning("the robot stands and does not run yet: %s", error)
+            return False
+        return True
 
     def _allow(self, button: str) -> None:
         """Wait for a button of a real robot's remote.

@@ -96,7 +96,8 @@ class DemoHLMG1(Robot):
         world = self._connected()
         if world.seen.step > 0:
             world.reset()
-            self._last = command.rest()
+            if not world.stays:
+                self._last = command.rest()
 
     def get_observation(self) -> dict[str, Any]:
         """Return the numbers of ``observation_features``."""

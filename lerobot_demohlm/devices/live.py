@@ -55,6 +55,8 @@ class Operated(Protocol):
     seen: Seen
     recorded: bool
     """Whether a dataset of LeRobot's holds frames of the present episode, which it has not stored yet."""
+    stays: bool
+    """Whether a new episode leaves the robot as it is, as it does a real one."""
 
     def reset(self) -> Seen:
         """Begin the next episode."""
@@ -77,7 +79,10 @@ class LiveWorld:
         pace: What holds it to the clock.
         seen: The world after the last step.
         recorded: See ``Operated``.
+        stays: See ``Operated``.
     """
+
+    stays = False
 
     def __init__(self, task: Task, region: str, seed: int, spread: float, *, by_clock: bool) -> None:
         self.task, self.sim = task, Simulation(task)

@@ -41,7 +41,10 @@ class Mirror:
         pace: What shows its ticks.
         seen: The robot after the last step of 0.1 s. ``success`` is never true: nobody measures it.
         recorded: See ``live.Operated``.
+        stays: See ``live.Operated``.
     """
+
+    stays = True
 
     def __init__(self, task: Task, read: Callable[[str], Reading | None]) -> None:
         self.task, self.sim, self._read = task, Simulation(task), read

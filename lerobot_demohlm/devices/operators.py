@@ -97,8 +97,10 @@ class _Operating(Teleoperator):
         if ik is None or (seen.episode, seen.step) == self._at:
             return
         if seen.episode != self._at[0]:
-            self._last = command.rest()
-            self._begin(world)
+            goes_on = world.stays and self._at[0] >= 0
+            if not goes_on:
+                self._last = command.rest()
+            self._begin(world, goes_on=goes_on)
         self._at = seen.episode, seen.step
         asked = self._ask(seen)
         if asked is None:
@@ -116,8 +118,8 @@ class _Operating(Teleoperator):
         """See a world for the first time."""
 
     @abstractmethod
-    def _begin(self, world: live.Operated) -> None:
-        """Begin an episode."""
+    def _begin(self, world: live.Operated, *, goes_on: bool) -> None:
+        """Begin an episode; ``goes_on`` tells whether the robot is still as the last action had it."""
 
     @abstractmethod
     def _ask(self, seen: live.Seen) -> OperatorPoses | None:
@@ -134,7 +136,7 @@ class DemoHLMScript(_Operating):
         super().__init__(config)
         self._operator: Operator | None = None
 
-    def _begin(self, world: live.Operated) -> None:
+    def _begin(self, world: live.Operated, *, goes_on: bool) -> None:
         self._operator = script_of(world.task).make_operator()
 
     def _ask(self, seen: live.Seen) -> OperatorPoses | None:
@@ -168,8 +170,11 @@ class DemoHLMWeb(_Operating):
             self._stage.close()
         self._stage = _Stage(world, self.config, self._clutch)
 
-    def _begin(self, world: live.Operated) -> None:
-        self._clutch.reset()
+    def _begin(self, world: live.Operated, *, goes_on: bool) -> None:
+        if goes_on:
+            self._clutch.rebase(world.seen.view)
+        else:
+            self._clutch.reset()
 
     def _ask(self, seen: live.Seen) -> OperatorPoses | None:
         assert self._stage is not None  # get_action enters the world first

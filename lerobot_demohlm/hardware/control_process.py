@@ -5,6 +5,7 @@ process looks every 4 ms whether something has happened that must be answered at
 ends, however it is asked to.
 """
 
+import math
 import multiprocessing
 import signal
 import time
@@ -92,6 +93,8 @@ class ControlProcess:
         self._kp, self._kd = np.array(gains.stiffness), np.array(gains.damping)
         self._gaze = [entry.name for entry in task.objects].index(task.gaze_target)
         self._search = Search(task)
+        needed = {task.gaze_target, *task.searched}
+        self._needed = {index: entry.name for index, entry in enumerate(task.objects) if entry.name in needed}
         self._watch, self._odometry = StateWatch(settings.limits), LegOdometry()
         self._machine = StateMachine(limits=settings.limits, ages=settings.ages, sleep_limit=COMMAND_TIMEOUT_S)
         self._slots = {name: records.slot(settings.folder, name) for name in records.RECORDS}
@@ -176,6 +179,10 @@ class ControlProcess:
         if recorder is not None and bool(recorder.value["failed"]):
             failed = records.text(recorder.value["reason"])
         servos = self._slots["servos"].read() if self._settings.servos else None
+        pose = self._slots["pose"].read()
+        unseen = (
+            [] if pose is None else [n for i, n in self._needed.items() if not math.isfinite(pose.value["age_s"][i])]
+        )
         return Watched(
             state=self._watch.age_s,
             policy=since_policy,
@@ -185,6 +192,7 @@ class ControlProcess:
             operator=self._slots["operator"].age_s(),
             recorder=self._slots["recorder"].age_s() if self._settings.recorded else 0.0,
             recorder_failed=failed,
+            unseen=", ".join(unseen),
             slept=slept,
         )
 

@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
@@ -67,7 +68,7 @@ class Deployment:
         self._slots = {name: records.slot(self.folder, name) for name in records.RECORDS}
         self._mode, self._number, self._estop, self._closed = Mode.DAMP, 0, "", False
         self._quiet = threading.Event()
-        self._over, self._turned_s = False, math.nan
+        self._began, self._over, self._turned_s = False, False, math.nan
         self._identity: dict[str, Any] = {}
         atexit.register(self.close)  # before multiprocessing waits for processes that nobody has ended
         self._lock = threading.Lock()
@@ -79,8 +80,13 @@ class Deployment:
             before_control()
             (self.folder / GO).touch()
             self._wait_for_ready("control")
+            self._began = True
+            self._write_facts()  # also of a deployment whose end nobody can write any more
         except BaseException:
             self.close()
+            if settings.root is not None:
+                with suppress(OSError):  # it holds a record, or was never made
+                    settings.root.rmdir()
             raise
         self._operating = threading.Thread(target=self._operate, name="operator", daemon=True)
         self._operating.start()
@@ -225,7 +231,7 @@ class Deployment:
             if process.is_alive():
                 process.kill()
                 process.join(5.0)
-        self._write_facts()
+        self._write_facts(ended=True)
         shutil.rmtree(self.folder, ignore_errors=True)
         self._lock_on_robot.release()
         atexit.unregister(self.close)
@@ -274,18 +280,20 @@ class Deployment:
             )
             self._slots["operator"].write(value)
 
-    def _write_facts(self) -> None:
-        """Write what was deployed beside its record, and how it ended."""
+    def _write_facts(self, *, ended: bool = False) -> None:
+        """Write what is deployed beside its record, and how it has ended."""
         root = self.settings.root
-        if root is None or not root.is_dir():
+        if root is None or not self._began:
             return
         settings = self.settings
         facts: dict[str, Any] = {
             "task": get_task(settings.task).name, "interface": settings.interface, "pose_source": settings.pose_source,
-            **self._identity, "mode": self.mode.name, "reason": self.reason,
+            **self._identity, "mode": self.mode.name if ended else None, "reason": self.reason if ended else "",
         }  # fmt: skip
+        partial = root / f"{FACTS}.partial"
         try:
-            (root / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
+            partial.write_text(json.dumps(facts, indent=1) + "\n")
+            os.replace(partial, root / FACTS)
         except OSError:
             return  # a full disk; the recorder has said so
 

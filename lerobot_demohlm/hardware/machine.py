@@ -44,6 +44,7 @@ class Watched:
         recorder: Of the recorder's; 0 where nothing is recorded.
         recorder_failed: Why the recorder cannot write; empty while it can.
         servos_failed: Why neck or grippers do not hold; empty while they do.
+        unseen: Names of the objects that have to be found first and were never seen; empty once all were.
         slept: Since the control process itself last looked.
     """
 
@@ -55,6 +56,7 @@ class Watched:
     recorder: float
     recorder_failed: str = ""
     servos_failed: str = ""
+    unseen: str = ""
     slept: float = 0.0
 
 
@@ -182,6 +184,8 @@ class StateMachine:
             return f"pelvis leans {watch.tilt:.2f} rad"
         if absent:
             return f"no {', '.join(absent)}"
+        if with_policy and seen.unseen:
+            return f"not seen yet: {seen.unseen}"
         return _failed(seen) or ("" if with_policy else self._unfit(watch))
 
     def _unfit(self, watch: StateWatch) -> str:

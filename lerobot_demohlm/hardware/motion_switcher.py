@@ -75,6 +75,25 @@ class MotionSwitcher:
         )
 
 
+def refuse_own_controller(interface: str, domain: int) -> None:
+    """Ask a robot whether a controller of its own runs.
+
+    Args:
+        interface: Of the network.
+        domain: Of DDS.
+
+    Raises:
+        RobotError: One does, or the robot does not answer.
+    """
+    name = MotionSwitcher(Link(interface, domain)).check()
+    if name:
+        raise RobotError(
+            f"the robot's own controller {name!r}",
+            "none at work",
+            "hang the robot in its gantry and release it with `demohlm deploy --release`",
+        )
+
+
 class MotionSwitcherService:
     """The side that answers, for a simulated robot.
 

@@ -33,20 +33,33 @@ Stop = Callable[[str], None]
 def terminal_keys() -> Iterator[Callable[[float], str]]:
     """Yield what waits for a key for some seconds and returns it, "" for none.
 
-    The terminal echoes nothing, and Ctrl-S does not stop it: whoever writes to a stopped terminal waits.
+    The terminal echoes nothing, and Ctrl-S does not stop it: whoever writes to a stopped terminal waits. After Ctrl-Z
+    and ``fg`` a shell leaves the terminal in its own mode, in which no key is heard before Enter. So the mode is looked
+    at each time.
     """
     if not sys.stdin.isatty():
         yield lambda seconds: _read_key(seconds)
         return
     before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
+
+    def next_key(seconds: float) -> str:
+        now = termios.tcgetattr(sys.stdin)
+        if now[0] & termios.IXON or now[3] & (termios.ICANON | termios.ECHO):
+            _hear_each_key()
+        return _read_key(seconds)
+
+    try:
+        _hear_each_key()
+        yield next_key
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _hear_each_key() -> None:
+    tty.setcbreak(sys.stdin, termios.TCSANOW)  # at once: a key that waits already may be the e-stop
     now = termios.tcgetattr(sys.stdin)
     now[0] &= ~termios.IXON
     termios.tcsetattr(sys.stdin, termios.TCSANOW, now)
-    try:
-        yield lambda seconds: _read_key(seconds)
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def _read_key(seconds: float) -> str:

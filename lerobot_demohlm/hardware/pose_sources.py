@@ -216,7 +216,7 @@ class ServerSource:
         self._client = PoseClient(zmq.Context(), settings.address, settings.timeout_s)
         self._session, self._frame = uuid.uuid4().hex, 0
         self._asked_ns: int | None = None
-        self._taken: dict[int, tuple[int, np.ndarray]] = {}  # when and from where each picture that is not answered was
+        self._taken: dict[int, tuple[int, np.ndarray]] = {}  # when and from where the picture asked about was
 
     def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
         """Return the newest look; None before each object was seen once, and where neither picture nor answer comes."""
@@ -244,10 +244,11 @@ class ServerSource:
             )
         )
         self._frame += 1
+        taken, asked = self._taken, self._client.asked
+        self._taken = {} if asked is None else {asked: taken[asked]}
         if told is None:
             return None
-        taken_ns, T_odometry_then = self._taken[told.request.frame]
-        self._taken = {frame: taken for frame, taken in self._taken.items() if frame > told.request.frame}
+        taken_ns, T_odometry_then = taken[told.request.frame]
         for index, answer in enumerate(told.answers):
             if answer.valid and told.request.session == self._session:
                 self._seen.add(index, T_odometry_then @ T_CAMERA_OPTICAL @ answer.T_optical_object, taken_ns)

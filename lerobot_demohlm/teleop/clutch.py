@@ -62,6 +62,7 @@ class Controls:
         walk: (3,) forward, left, turn left, each in [-1, 1].
         lift: -1 squats, 1 rises, 0 stays.
         age_s: How long ago this was heard of [s].
+        driver: Number of the operator; another number is another person, whose hands are elsewhere.
     """
 
     left: HandControls = field(default_factory=HandControls)
@@ -71,6 +72,7 @@ class Controls:
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
     lift: float = 0.0
     age_s: float = 0.0
+    driver: int = 0
 
     @property
     def hands(self) -> tuple[HandControls, HandControls]:
@@ -172,6 +174,7 @@ class Clutch:
         self._grip_live = [False, False]
         self._base: np.ndarray | None = None  # (4, 4) on the floor, of the step before, while targets go with it
         self._settling = 0  # steps for which they still do
+        self._driver = 0
 
     @property
     def engaged(self) -> tuple[bool, bool]:
@@ -205,14 +208,28 @@ class Clutch:
             T_world_head: (4, 4); None leaves the torso to the hands.
             squat: How far the buttons have moved that head [m], 0 or less.
         """
-        for clutch in (*self._hands, self._head):
-            clutch.release()
+        self._let_go()
         self._led = [False, False]
         self._targets = None if T_world_hands is None else T_world_hands.copy()
         self._grippers = np.zeros(2) if grippers is None else np.array(grippers, dtype=np.float64)
         self._head_target = None if T_world_head is None else T_world_head.copy()
         self._squat = float(np.clip(squat, DEEPEST_SQUAT, 0.0))
-        self._grip_live, self._base, self._settling = [False, False], None, 0
+        self._base, self._settling = None, 0
+
+    def _let_go(self) -> None:
+        """Have hands and head begin anew from where they are, and grippers wait for their triggers."""
+        for clutch in (*self._hands, self._head):
+            clutch.release()
+        self._grip_live = [False, False]
+
+    def rebase(self, view: SceneView) -> None:
+        """Let go of everything and hold what the robot does now: its world begins anew, and the robot stays.
+
+        Args:
+            view: The robot in the new world.
+        """
+        head = None if self._head_target is None else view.T_world_head
+        self.reset(view.T_world_hands, self._grippers, head, self._squat)
 
     def poses(self, controls: Controls, view: SceneView) -> OperatorPoses:
         """Return what the robot should do in this step of 0.1 s.
@@ -223,6 +240,9 @@ class Clutch:
         """
         if self._targets is None:
             self._targets = view.T_world_hands.copy()
+        if controls.driver != self._driver:
+            self._let_go()
+            self._driver = controls.driver
         present = controls.age_s <= SILENCE_S
         velocity = self._velocity(controls.walk) if present else np.zeros(3)
         base = poses.planar(*poses.to_planar(view.T_world_pelvis))

@@ -13,6 +13,7 @@ import numpy as np
 from gym_demohlm import poses
 
 LONGEST_S = 0.1  # between two poses that count as one motion
+SHORTEST_S = 1e-6  # between two poses; a shorter time tells no speed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +71,7 @@ class PoseSmoother:
             self._smooth = pose.copy()
             self._velocity, self._turning = np.zeros(3), np.zeros(3)
             return pose
-        if passed <= 0.0:
+        if passed < SHORTEST_S:
             return self._smooth.copy()
         share = _share(settings.speed_hz, passed)
         self._velocity = self._velocity + share * (moved / passed - self._velocity)

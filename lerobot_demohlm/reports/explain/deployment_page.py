@@ -45,6 +45,12 @@ def explain_deployment(root: Path) -> tuple[str, dict[str, Any]]:
         raise DatasetError(
             f"{root} that cannot be read ({error})", "a record of `demohlm deploy`", "check --root"
         ) from error
+    if facts["mode"] is None:
+        last = Mode(rows["control.mode"][-1].as_py()).name
+        facts |= {
+            "mode": last,
+            "reason": f"{rows['control.reason'][-1]} (the last of its rows; its end is not recorded)",
+        }
     time_s = 1e-9 * np.asarray(rows["time_ns"], dtype=np.float64)
     time_s -= time_s[0]
     changes = mode_changes(time_s, rows)

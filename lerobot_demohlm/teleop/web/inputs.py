@@ -34,8 +34,7 @@ class Latencies:
     def taken(self) -> None:
         """Note that all that has arrived makes the next command."""
         with self._lock:
-            self._taken += self._pending
-            self._pending.clear()
+            self._taken, self._pending = self._pending, []  # those of a command that was never made do not count
 
     def applied(self, now_s: float) -> None:
         """Note that the first tick of that command is done."""
@@ -73,6 +72,7 @@ class Inputs:
         self._clock, self._lock = clock, threading.Lock()
         self._controls, self._heard = Controls(), -np.inf
         self._driver: object | None = None
+        self._changes = 0  # of who drives
         self._active_at = -np.inf
         self.device = "none"
         self.latencies = Latencies()
@@ -86,12 +86,16 @@ class Inputs:
             active = message.controls.active
             if self._driver is None or (source is not self._driver and resting and active):
                 self._driver = source
+                self._changes += 1
+                for smoother in self._smoothers.values():
+                    smoother.reset()
             if source is not self._driver:
                 return False
             if active:
                 self._active_at = now
             time_s = message.sent_s if message.sent_s > 0.0 else now
-            self._controls, self._heard, self.device = self._smoothed(message.controls, time_s), now, message.device
+            controls = replace(self._smoothed(message.controls, time_s), driver=self._changes)
+            self._controls, self._heard, self.device = controls, now, message.device
             if message.sent_s > 0.0:
                 self.latencies.arrived(message.sent_s)
             return True

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gym_demohlm.errors import SceneError, UnknownNameError
-from gym_demohlm.perception import wire
+from gym_demohlm.perception import pose_client, wire
 from gym_demohlm.perception.meshes import known_meshes
 from gym_demohlm.perception.pose_client import LATE, NO_ANSWER
 from gym_demohlm.perception.pose_server import TrackerBackend, make_backend
@@ -100,7 +100,10 @@ def test_a_silent_server_is_waited_for_once_and_the_episode_goes_on() -> None:
     assert faults == {NO_ANSWER: 4} and all(np.isfinite(row).all() for row in seen)
 
 
-def test_a_server_that_was_killed_leaves_the_last_pose_and_one_in_its_place_is_found() -> None:
+def test_a_server_that_was_killed_leaves_the_last_pose_and_one_in_its_place_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pose_client, "GIVEN_UP_S", 0.3)
     answered = []
 
     def dying(request: wire.Request) -> bytes | None:
@@ -111,7 +114,7 @@ def test_a_server_that_was_killed_leaves_the_last_pose_and_one_in_its_place_is_f
         seen, faults = _episode(address, steps=24, timeout_s=0.05)
     assert faults[NO_ANSWER] >= 20 and len(seen) == 25
     assert np.abs(seen[-1][:3] - seen[1][:3]).max() < 0.03
-    assert max(answered) >= 22  # it was called anew after twenty frames
+    assert len(answered) >= 4 and max(answered) >= 10, "it was called anew"
 
 
 def test_an_answer_that_comes_late_is_taken_as_of_the_time_of_its_picture() -> None:

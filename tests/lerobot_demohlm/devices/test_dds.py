@@ -4,6 +4,7 @@ Slow ones need a machine that runs in real time.
 """
 
 import json
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ from lerobot_demohlm.devices.g1 import DemoHLMG1
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
+from lerobot_demohlm.hardware.link import Link
+from lerobot_demohlm.hardware.motion_switcher import MotionSwitcherService, refuse_own_controller
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.slots import Reading
 from tests.helpers.lerobot import run
@@ -123,6 +126,7 @@ def test_camera_and_tags_reach_the_deployment(tmp_path: Path, monkeypatch: pytes
         raise RobotError("a test", "its end", "nothing")
 
     monkeypatch.setattr(dds, "Deployment", refuse)
+    monkeypatch.setattr(dds, "refuse_own_controller", lambda interface, domain: None)
     options = [
         "--robot.type=demohlm_g1", "--robot.backend=dds", "--robot.interface=lo", "--robot.pose_source=apriltag",
         f"--robot.camera={json.dumps(camera)}", "--robot.tags=tags.json",
@@ -132,6 +136,52 @@ def test_camera_and_tags_reach_the_deployment(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(RobotError, match="a test"):
         DdsRobot(config, get_task("LiftBox"))
     assert json.loads(given[0].camera) == camera and given[0].tags == Path("tags.json")
+
+
+def test_a_robot_that_does_not_run_yet_stands_on(at_once: None, caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody presses A: LeRobot's loop goes on, and asks again with its next action. A robot that brakes ends it."""
+
+    class Waiting(Scripted):
+        runs = 0
+
+        def run(self, timeout_s: float) -> None:
+            self.runs += 1
+            raise RobotError(f"{self.mode.name}: will not run: no pose", "RUN", "see what holds it back")
+
+    deployment = Waiting([(Mode.STAND, 1, "operator")])
+    robot: Any = robot_of(deployment)
+    robot._step, robot._by_remote = 0, False
+    for _ in range(2):
+        robot.send(command.rest())
+    assert (deployment.runs, robot._step) == (2, 0)
+    assert sum("does not run yet" in entry.getMessage() for entry in caplog.records) == 2
+    braking = Waiting([(Mode.STAND, 1, "operator")])
+    robot = robot_of(braking)
+    robot._step, robot._by_remote = 0, False
+    braking.run = lambda timeout_s: braking._told.__setitem__(0, (Mode.DAMP, 2, "fall")) or Waiting.run(braking, 1.0)
+    with pytest.raises(RobotError, match="DAMP"):
+        robot.send(command.rest())
+
+
+def test_a_robot_whose_own_controller_runs_is_refused() -> None:
+    pytest.importorskip("cyclonedds")
+    domain, stop = free_domain(), threading.Event()
+    service = MotionSwitcherService(Link("lo", domain), "ai")
+
+    def serve() -> None:
+        while not stop.wait(0.01):
+            service.serve()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        with pytest.raises(RobotError, match=r"own controller 'ai'.*deploy --release"):
+            DdsRobot(DemoHLMG1Config(backend="dds", interface="lo", domain=domain), get_task("LiftBox"))
+        service.name = ""
+        refuse_own_controller("lo", domain)
+    finally:
+        stop.set()
+        thread.join()
 
 
 @dataclass

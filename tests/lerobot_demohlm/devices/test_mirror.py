@@ -1,13 +1,19 @@
 """The mirror of a robot against the world that the robot is really in."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gym_demohlm import poses
 from gym_demohlm.control import command
+from gym_demohlm.robot import g1
+from lerobot_demohlm.devices import live
+from lerobot_demohlm.devices.config_operators import DemoHLMWebConfig
 from lerobot_demohlm.devices.mirror import Mirror
+from lerobot_demohlm.devices.operators import DemoHLMWeb
+from lerobot_demohlm.teleop.clutch import Controls
 from tests.helpers.robot import Told, until
 
 
@@ -92,3 +98,33 @@ def test_a_new_episode_begins_where_the_task_has_the_robot(told: Told) -> None:
         assert after.view.T_world_objects["box"][0, 3] - after.view.T_world_pelvis[0, 3] == pytest.approx(gap, abs=0.01)
     finally:
         mirror.close()
+
+
+def test_a_new_episode_sends_a_real_robot_nowhere(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A person has it squat with a closed hand; the next episode begins from there, not from a robot at rest."""
+    operator = DemoHLMWeb(DemoHLMWebConfig(port=0, calibration_dir=tmp_path))
+    monkeypatch.setattr(operator, "_enter", lambda world: None)  # no page, and nobody at it
+    monkeypatch.setattr(operator, "_ask", lambda seen: operator._clutch.poses(Controls(), seen.view))
+    mirror = mirrored(told)
+    live.set_current(mirror)
+    try:
+        operator.connect()
+        operator.get_action()
+        squat = command.rest()
+        squat[command.HEIGHT] = g1.PELVIS_HEIGHT - 0.15
+        squat[command.NAMES.index("left_elbow.pos")] += 0.5
+        for _ in range(15):
+            told.sim.step(squat[None])
+        operator._last = squat.copy()
+        operator._last[command.VELOCITY] = 0.3
+        operator._clutch.reset(grippers=np.array([1.0, 0.0]))
+        mirror.reset()
+        action = np.array(list(operator.get_action().values()))
+        assert not action[command.VELOCITY].any()
+        assert operator._clutch.grippers == (1.0, 0.0)
+        assert action[command.HEIGHT] == pytest.approx(squat[command.HEIGHT], abs=0.05)
+        assert np.abs(action - squat)[command.ARMS].max() < 0.3
+    finally:
+        live.set_current(None)
+        operator.disconnect()
+        mirror.sim.close()

@@ -4,6 +4,7 @@ Unmarked tests hold on a machine of any speed; those about times are slow ones.
 """
 
 import dataclasses
+import json
 import math
 import os
 import signal
@@ -23,7 +24,7 @@ from lerobot_demohlm.benchmarks.deployment import RobotProcess
 from lerobot_demohlm.cli import deploy, main
 from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware import recorder
-from lerobot_demohlm.hardware.deployment import OPERATOR_S, Deployment, _identify
+from lerobot_demohlm.hardware.deployment import FACTS, OPERATOR_S, Deployment, _identify
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Fault, Faults
@@ -31,6 +32,7 @@ from lerobot_demohlm.hardware.layout import LowCmd
 from lerobot_demohlm.hardware.limits import Ages
 from lerobot_demohlm.hardware.link import LOW_CMD, Link
 from lerobot_demohlm.hardware.records import Mode
+from lerobot_demohlm.reports.explain.deployment_page import explain_deployment
 from tests.helpers.checkpoints import save_policy
 from tests.helpers.robot import free_domain, until
 
@@ -50,6 +52,8 @@ def test_a_deployment_only_brakes_until_it_is_asked_to_stand(
     with Deployment(deployed(robot, domain, root=tmp_path / "record", ages=LONG)) as deployment:
         until(lambda: deployment.read("state") is not None, 60.0)
         assert deployment.mode == Mode.DAMP and not deployment.standing
+        facts = json.loads((tmp_path / "record" / FACTS).read_text())
+        assert facts["task"] == "LiftBox" and facts["mode"] is None, "it can be read whatever ends the deployment"
         with pytest.raises(RobotError, match="a controller on lo already"):
             Deployment(deployed(robot, domain))
         assert main(["robot-check", "--interface", "lo", "--domain", str(domain), "--seconds", "1"]) == 1
@@ -62,6 +66,10 @@ def test_a_deployment_only_brakes_until_it_is_asked_to_stand(
         until(lambda: any(event["event"] == "damped" for event in robot.events), 60.0)
         with pytest.raises(RobotError, match="the process control ended"):
             deployment.check()
+    assert json.loads((tmp_path / "record" / FACTS).read_text())["mode"] == "DAMP"
+    (tmp_path / "record" / FACTS).write_text(json.dumps(facts))
+    _, short = explain_deployment(tmp_path / "record")
+    assert short["ended"].startswith("DAMP: ") and "its end is not recorded" in short["ended"]
     counted = robot.end()
     assert counted["executed"] > 0 and counted["violations"] == 0 and counted["bad_crc"] == 0
     rows = recorder.read(tmp_path / "record")

@@ -77,6 +77,14 @@ def test_what_cannot_be_survived_on_two_legs_damps(changes: dict[str, object]) -
     assert robot.see() == Mode.DAMP
 
 
+def test_it_does_not_run_before_what_it_needs_was_seen_and_runs_on_where_that_is_lost() -> None:
+    robot, unseen = Robot(), replace(WELL, unseen="box")
+    assert robot.ask(Mode.STAND, unseen) == Mode.STAND
+    robot.machine.standing = True
+    assert robot.ask(Mode.RUN, unseen) == Mode.STAND and robot.machine.reason == "will not run: not seen yet: box"
+    assert robot.ask(Mode.RUN) == Mode.RUN and robot.see(unseen) == Mode.RUN
+
+
 def test_a_control_process_that_slept_must_not_go_on() -> None:
     robot = Robot().running()
     assert robot.see(replace(WELL, slept=0.06)) == Mode.DAMP

@@ -38,6 +38,21 @@ def test_ctrl_s_does_not_stop_the_terminal_while_keys_are_read(monkeypatch: pyte
     os.close(ours)
 
 
+def test_a_shell_that_takes_the_terminal_back_does_not_deafen_the_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After Ctrl-Z and ``fg`` a shell leaves its own mode, in which the space bar waits for Enter."""
+    ours, theirs = os.openpty()
+    shells = termios.tcgetattr(theirs)
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with terminal_keys() as next_key:
+            termios.tcsetattr(theirs, termios.TCSANOW, shells)
+            os.write(ours, b" ")
+            assert next_key(5.0) == " "
+            os.write(ours, b"q")
+            assert next_key(5.0) == "q"
+    os.close(ours)
+
+
 def test_a_gamepads_buttons_and_its_loss(tmp_path: Path) -> None:
     """A named pipe stands for the device: the kernel's joystick events are read from either in the same way."""
     path = tmp_path / "js0"

@@ -190,3 +190,29 @@ def test_a_robot_that_squats_after_going_back_rises_step_by_step() -> None:
     up = clutch.poses(Controls(lift=1.0), view())
     assert up.T_world_head is not None
     assert up.T_world_head[2, 3] - down.T_world_head[2, 3] == pytest.approx(0.02)
+
+
+def test_another_operator_begins_anew() -> None:
+    """The first one falls silent with a closed hand; the second one's hand is turned otherwise, its trigger open."""
+    clutch = Clutch()
+    first = poses.pose([0.3, 0.0, 1.0])
+    clutch.poses(right(first, grip=1.0, driver=1), view())
+    before = clutch.poses(right(first, grip=1.0, driver=1), view())
+    clutch.poses(right(first, grip=1.0, driver=1, age_s=1.0), view())
+    turned = poses.from_rotation(poses.rotation_from_rpy([0.0, 1.5, 0.0]), [0.3, 0.0, 1.0])
+    asked = clutch.poses(right(turned, grip=0.0, driver=2), view())
+    np.testing.assert_allclose(asked.T_world_hands, before.T_world_hands)
+    assert asked.grippers[1] == 1.0
+    assert clutch.poses(right(turned, grip=0.95, driver=2), view()).grippers[1] == 0.95
+
+
+def test_a_robot_that_stays_is_held_as_it_is_in_a_new_world() -> None:
+    clutch, moved = Clutch(), poses.planar(1.0, 2.0, 0.5)
+    clutch.poses(Controls(lift=-1.0), view())
+    clutch.reset(view().T_world_hands, np.array([1.0, 0.0]), view().T_world_head, clutch.squat)
+    squat = clutch.squat
+    clutch.rebase(view(moved))
+    asked = clutch.poses(Controls(), view(moved))
+    np.testing.assert_allclose(asked.T_world_hands, view(moved).T_world_hands)
+    np.testing.assert_allclose(asked.T_world_head, view(moved).T_world_head)
+    assert asked.grippers.tolist() == [1.0, 0.0] and clutch.squat == squat < 0.0

@@ -54,3 +54,9 @@ def test_none_changes_nothing() -> None:
     smoother = PoseSmoother(None)
     T = poses.pose([0.1, 0.2, 0.3])
     assert all(np.array_equal(smoother(trembled(T, t), t), trembled(T, t)) for t in (0.0, 0.1, 0.2))
+
+
+def test_times_that_hardly_differ_make_no_nan() -> None:
+    smoother = PoseSmoother(SmoothingSettings())
+    for time_s in (1e-310, 2e-310, 3e-310):
+        assert np.isfinite(smoother(poses.pose([0.1 + 1e300 * time_s, 0.0, 0.0]), time_s)).all()
