@@ -32,9 +32,9 @@ def _rebuild(kind: type[DemoHLMError], got: str, expected: str, remedy: str) -> 
 class UnknownNameError(DemoHLMError):
     """A name (of a task, a region, a policy, ...) that is not registered."""
 
-    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: object, available: Iterable[str]) -> None:
         names = sorted(available)
-        close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
         remedy = f"did you mean {close[0]!r}?" if close else "choose one of these"
         told = ", ".join(repr(name) if "," in name else name for name in names)
         super().__init__(f"{kind} {name!r}", f"one of {told}", remedy)

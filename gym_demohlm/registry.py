@@ -67,6 +67,8 @@ def get_task(name: str) -> Task:
         UnknownNameError: There is no such task; the message names the closest one.
         SceneError: There is no such module.
     """
+    if not isinstance(name, str):
+        raise UnknownNameError("task", name, all_tasks())
     module, _, bare = name.rpartition(":")
     if module:
         _import(module)

@@ -376,8 +376,8 @@ class Task:
     def region(self, name: str) -> Region:
         """Return the initial region of that name.
 
-        R4 has the robot 0.3 to 2 m away, up to 0.8 m aside and turned by up to 90 degrees, and objects up to 0.1 m
-        nearer or further, 0.15 m aside and 0.2 m lower or higher, with the yaw of R3.
+        R4 has the robot at x from -2 to -0.3 m, up to 0.8 m aside and turned by up to 90 degrees, and objects up to
+        0.1 m nearer or further, 0.15 m aside and 0.2 m lower or higher, with the yaw of R3.
         """
         if name == WIDEST and name not in self.regions and DEFAULT_REGION in self.regions:
             return WideRegion(

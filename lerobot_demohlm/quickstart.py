@@ -147,7 +147,7 @@ def run(quickstart: Quickstart) -> Path:
             for region in regions
         }
         for region in regions:
-            success = summarize(scored[region])["success_held"]
+            success = summarize(scored[region])["success_strict"]
             where = (
                 "the region of the data"
                 if region == quickstart.region

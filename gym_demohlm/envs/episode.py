@@ -151,8 +151,8 @@ class RunningEpisodes:
         """Return what is known of each world's episode, (N,) each.
 
         Keys: is_success, success, success_ever, success_held, success_strict, fell, unstable, collided (has pressed on
-        an obstacle with more than 60 N for 0.3 s), each of the task's failures (bool), and clipped, how many numbers of
-        the last action were out of bounds.
+        an obstacle in three steps in a row, at some time in each with more than 60 N), each of the task's failures
+        (bool), and clipped, how many numbers of the last action were out of bounds.
         """
         judge = self._judge
         info = {
@@ -253,7 +253,12 @@ def initial_state(task: Task, region: str, rng: np.random.Generator, options: di
         return task.sample(asked, rng)
     if not isinstance(given, dict):
         raise SceneError(f"initial_state={given!r}", "a dictionary", "see gym_demohlm.task.InitialState")
-    return {key: [float(value) for value in values] for key, values in given.items()}
+    try:
+        return {key: [float(value) for value in values] for key, values in given.items()}
+    except (TypeError, ValueError):
+        raise SceneError(
+            f"initial_state={given!r}", "a list of numbers for each key", "see gym_demohlm.task.InitialState"
+        ) from None
 
 
 def _unbounded(size: int) -> gym.spaces.Box:

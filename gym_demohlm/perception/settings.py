@@ -94,6 +94,8 @@ class PerceptionSettings:
         """
         if isinstance(text, PerceptionSettings):
             return text
+        if not isinstance(text, str):
+            raise UnknownNameError("perception", text, SOURCES)
         source, *rest = text.split(",")
         known = {entry.name: entry.type for entry in fields(cls) if entry.name != "source"}
         values: dict[str, str | float] = {}

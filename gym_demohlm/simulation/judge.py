@@ -5,7 +5,8 @@ its outcome is judged where it ends. The rules are the same:
 
 - success: the task's condition has held for the last second.
 - fell: the pelvis is low or tilted, or the physics broke down.
-- collided: the robot has pressed on an obstacle with more than 60 N for 0.3 s.
+- collided: the robot has pressed on an obstacle in three steps in a row (0.3 s), at some time in each with more than
+  60 N.
 - dropped, or another of the task's failures: its predicate holds.
 
 The strict success asks for more: it is held, nothing was dropped and nothing was collided with at any time, and the

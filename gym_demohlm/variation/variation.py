@@ -90,6 +90,8 @@ def get_variation(name: str) -> Variation:
         UnknownNameError: There is no such preset or group.
         SceneError: The strength is no number from 0 to 3.
     """
+    if not isinstance(name, str):
+        raise UnknownNameError("variation", name, PRESETS)
     head, colon, chosen = name.partition(":")
     preset, at, number = head.partition("@")
     if preset not in PRESETS:

@@ -22,7 +22,7 @@ from gym_demohlm.envs.episode import max_episode_steps
 from gym_demohlm.errors import DemoHLMError
 from gym_demohlm.robot.robot import GRIPPER_JOINTS
 from gym_demohlm.simulation import Simulation
-from gym_demohlm.task import Task
+from gym_demohlm.task import DEFAULT_REGION, WIDEST, Task
 from gym_demohlm.timing import HOLD_S, HOLD_STEPS, PHYSICS_DT, STEP_DT
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.checks.overlaps import Overlap, OverlapWatch
@@ -43,10 +43,10 @@ class Settings:
     """How thoroughly a task is checked.
 
     Attributes:
-        num_resets: Starts that are looked at, spread evenly over the task's regions.
-        num_still: Worlds whose robot stands still for the time limit, regions in turn.
-        num_episodes: Worlds whose robot gets uniformly random commands for the time limit, regions in turn; and
-            replays of the demonstration from as many other starts, drawn from the last region, the widest one.
+        num_resets: Starts that are looked at, spread evenly over the task's regions; and as many in R4.
+        num_still: Worlds whose robot stands still for the time limit, R1 to R3 in turn.
+        num_episodes: Worlds whose robot gets uniformly random commands for the time limit, R1 to R3 in turn;
+            and replays of the demonstration from as many other starts in R3.
         seed: Of the starts and the commands.
         time_limit_s: How long those worlds run [s]; None: for the task's own time limit.
         variation: How worlds differ; the demonstration itself is replayed in the plain world.
@@ -104,12 +104,15 @@ def lint(task: Task, demonstration: Demonstration | None, settings: Settings | N
     """
     settings = settings or Settings()
     checks = [*_check_resets(task, settings), *_check_episodes(task, settings)]
+    if DEFAULT_REGION in task.regions and WIDEST not in task.regions:
+        checks += _check_resets(task.at(WIDEST), settings, f" in {WIDEST}")
     if demonstration is not None:
         checks += [*_check_demonstration(task, demonstration, settings), *_check_replays(task, demonstration, settings)]
     return checks
 
 
-def _check_resets(task: Task, settings: Settings) -> list[Check]:
+def _check_resets(task: Task, settings: Settings, where: str = "") -> list[Check]:
+    """Look at starts in each region of a task; ``where`` ends the names of the checks."""
     generators = {name: np.random.default_rng([settings.seed, index]) for index, name in enumerate(task.regions)}
     regions = _regions(task, settings.num_resets)
     variation = get_variation(settings.variation)
@@ -117,11 +120,11 @@ def _check_resets(task: Task, settings: Settings) -> list[Check]:
     watch = OverlapWatch(sim)
     sim.reset([sim.vary(task.sample(region, generators[region])) for region in regions])
     watch.look(np.arange(settings.num_resets))
-    where = f"{settings.num_resets} resets in {', '.join(task.regions)}"
+    looked_at = f"{settings.num_resets} resets in {', '.join(task.regions)}"
     checks = [
-        _never("success at a reset", sim.success(), where),
-        _never("failure at a reset", _any_failure(sim), where),
-        _depth_check("depth at a reset", watch.deepest),
+        _never(f"success at a reset{where}", sim.success(), looked_at),
+        _never(f"failure at a reset{where}", _any_failure(sim), looked_at),
+        _depth_check(f"depth at a reset{where}", watch.deepest),
     ]
     sim.close()
     return checks

@@ -17,7 +17,7 @@ WORDINGS: Mapping[str, tuple[str, ...]] = {
     ),
     "PushCube": (
         "Push the cube to the left until it is on the green field.",
-        "Slide the cube onto the green square with your right hand.",
+        "Slide the cube onto the green part of the table with your right hand.",
         "Move the cube onto the green area.",
     ),
     "Handover": (

@@ -250,7 +250,7 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         task: The task that it must be of, and whose objects and contact pairs are read; any registered one by default.
 
     Raises:
-        DemonstrationError: It is missing, damaged, of another task or version, failed, or touches nothing.
+        DemonstrationError: It is missing, damaged, of another task or version, or touches nothing.
     """
     if root is None:
         if task is None:

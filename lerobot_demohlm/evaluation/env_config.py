@@ -34,7 +34,7 @@ class DemoHLMEnvConfig(EnvConfig):
     task: str | None = "LiftBox-v0"
     fps: int = 10
     region: str = DEFAULT_REGION
-    """Initial region: R1, R2 or R3."""
+    """Initial region: R1, R2, R3 or R4."""
     perception: str = "exact"
     """How observation and gaze see objects, such as exact, model, or rgbd,masks=color: see docs/perception.md."""
     controller: str = DEFAULT

@@ -18,7 +18,8 @@ from lerobot_demohlm.evaluation.rollouts import OnStep, Setting, roll_batches
 from lerobot_demohlm.reproducibility import provenance
 
 FIRST_SEED = 1_000_000
-"""Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: no start is shared."""
+"""Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: of the starts of
+rollouts only that of seed 0 is one of them, the first one of seed 0."""
 SUCCESSES = ("success_strict", "success_held", "success_end", "success_ever")
 
 
@@ -131,7 +132,7 @@ def resumed_rollouts(path: Path, header: Mapping[str, Any]) -> list[Rollout]:
                 raise DatasetError(
                     f"{path} with rollouts of {key}={getattr(rollout, key)}",
                     f"{key}={value}",
-                    "choose another --output, or remove this file",
+                    "move this file away, or choose another --output where there is one",
                 )
     return rollouts
 

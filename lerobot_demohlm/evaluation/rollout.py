@@ -56,6 +56,11 @@ class Rollout:
     controller: str = ""
     code: str = ""
 
+    @property
+    def succeeded(self) -> bool:
+        """Whether it succeeded strictly, or was held where that was not judged."""
+        return self.success_held if self.success_strict is None else self.success_strict
+
     def __post_init__(self) -> None:
         """Check the outcome."""
         if self.outcome not in OUTCOMES:

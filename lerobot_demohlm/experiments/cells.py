@@ -165,6 +165,7 @@ def _run_policy(cell: Cell, layout: Layout, effort: Effort) -> PolicyResult | No
         stamp=cell.stamp,
         policy_type=rollouts[0].policy,
         policy_hash=rollouts[0].policy_hash,
+        code=rollouts[0].code,
         first_seed=cell.first_seed,
         episodes=len(rollouts),
         successes=sum(rollout.success_held for rollout in rollouts),

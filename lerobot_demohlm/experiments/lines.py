@@ -46,6 +46,7 @@ class PolicyResult(Result):
         stamp: Digest of what generation did with the task.
         policy_type: Type of the policy as LeRobot registers it.
         policy_hash: SHA-256 of everything that decides its actions.
+        code: SHA-256 of the code of the simulation, eyes and judge; empty in lines from before that was noted.
         first_seed: Seed of the first rollout.
         episodes: Number of rollouts.
         successes: Rollouts whose success was held for one second.
@@ -74,6 +75,7 @@ class PolicyResult(Result):
     stamp: str
     policy_type: str = ""
     policy_hash: str = ""
+    code: str = ""
     first_seed: int = 0
     episodes: int
     successes: int

@@ -223,8 +223,9 @@ def plan(
     names = list(dict.fromkeys(get_task(name).name for name in grid.tasks or all_tasks()))
     if table == "regions":
         idle = [name for name in ("sizes", "seeds", "policies", "variants", "perceptions") if chosen.get(name)]
-        if idle or steps is not None:
-            name = (idle or ["steps"])[0]
+        idle += [name for name, given in (("steps", steps is not None), ("preset", preset != "cpu")) if given]
+        if idle:
+            name = idle[0]
             raise PolicyError(f"{name} for the table of regions", "options of generation", f"leave --{name} out")
         return [
             RegionCell(task=task, region=region, variation=variation)

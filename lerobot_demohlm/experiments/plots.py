@@ -241,7 +241,7 @@ def failure_map(rollouts: Sequence[Rollout], bins: int = 8, size: int = 260) -> 
         size: Length of the longer side [px].
     """
     starts = np.array([rollout.initial_state["robot"][:2] for rollout in rollouts], dtype=float)  # (N, 2) [m]
-    failed = np.array([not rollout.success_held for rollout in rollouts])
+    failed = np.array([not rollout.succeeded for rollout in rollouts])
     low, high = starts.min(axis=0), starts.max(axis=0) + 1e-6
     edge = (high - low).max() / bins
     shape = np.maximum(1, np.ceil((high - low) / edge - 1e-9)).astype(int)

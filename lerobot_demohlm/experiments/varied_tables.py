@@ -54,11 +54,11 @@ def readme_table(results: Path) -> str:
     }
     attempts = " or ".join(map(str, sorted({made.attempts for made in attempted.values()}))) or "no"
     text = (
-        f"Success [%] in R3. Generation: {attempts} attempts, without the noise in the commands that datasets have by "
-        f"default, in plain worlds, and in [`{VARIED}`](docs/variation.md) ones, where objects, robot, surroundings "
-        f"and pushes differ from attempt to attempt and the robot may try twice more. Policies: {rollouts} rollouts in "
-        f"`{VARIED}` worlds, after training on {SHOWN_EPISODES} episodes of them; a mean where several seeds were "
-        f"trained. In `{VARIED}` worlds success is strict."
+        f"Success [%] in [R3](docs/benchmark.md#ranges). Generation: {attempts} attempts, without the noise in the "
+        f"commands that datasets have by default, in plain worlds, and in [`{VARIED}`](docs/variation.md) ones, where "
+        f"objects, robot, surroundings and pushes differ from attempt to attempt and the robot may try twice more. "
+        f"Policies: {rollouts} rollouts in `{VARIED}` worlds, after training on {SHOWN_EPISODES} episodes of them; a "
+        f"mean where several seeds were trained. In `{VARIED}` worlds success is [strict](docs/benchmark.md#success)."
     )
     header = ["task", "generation", *(f"{name}, `{VARIED}`" for name in METHODS)]
     header += ["paper: generation", "paper: ACT, 5000 episodes"]

@@ -35,6 +35,7 @@ from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 _CODE, _GENERATOR = "code_hash", "generator_hash"
+HOPELESS_ATTEMPTS = 512  # without a success, after which a run that wants so many episodes gives up
 _log = logging.getLogger(__name__)
 
 
@@ -265,7 +266,8 @@ class GenerationRun:
     def _enough(self, attempts: int, successes: int) -> bool:
         if self.facts.num_attempts is not None:
             return attempts >= self.facts.num_attempts
-        return successes >= (self.facts.num_episodes or 0)
+        hopeless = successes == 0 and attempts >= HOPELESS_ATTEMPTS  # else it would never end
+        return hopeless or successes >= (self.facts.num_episodes or 0)
 
     def _parts(self, name: str, records: Sequence[dict[str, Any]], scratch: Path) -> list[Path]:
         """Return the roots of the blocks' datasets in order, the last one cut off behind the last record."""

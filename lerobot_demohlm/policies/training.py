@@ -1,7 +1,8 @@
 """A dataset and a preset -> a trained policy, by LeRobot's own training with its data held in memory.
 
 The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --config_path=FILE`` with the file that
-``--write-config`` writes, or with the ``train_config.json`` of the checkpoint, is the same training.
+``--write-config`` writes, or with the ``train_config.json`` of the checkpoint, is the same training, bit for bit with
+as many threads (``OMP_NUM_THREADS``); ACT's bits depend on their number.
 """
 
 import json

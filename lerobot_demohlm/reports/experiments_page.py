@@ -28,7 +28,7 @@ from lerobot_demohlm.experiments import lines, plots, readme_tables
 from lerobot_demohlm.experiments.layout import Layout
 from lerobot_demohlm.experiments.lines import PolicyResult
 from lerobot_demohlm.experiments.plan import Cell
-from lerobot_demohlm.experiments.rates import latest, method_title
+from lerobot_demohlm.experiments.rates import latest, method_title, steps_title
 from lerobot_demohlm.experiments.robustness import scored
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT
 from lerobot_demohlm.policies.training import checkpoint
@@ -123,13 +123,13 @@ def sections(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> list[
         num_workers: Processes that film.
     """
     cells, shown, failures = [], [], []
-    for result in latest(lines.read_policies(layout.policies_file)):
+    for result in latest(lines.read_policies(layout.policies_file), any_steps=True):
         cell = Cell(**{name: getattr(result, name) for name in Cell.__dataclass_fields__})
         policy = checkpoint(layout.training(cell))
         if not (cell.is_of(result) and layout.rollouts(cell).is_file() and policy.is_dir()):
             continue
         rollouts = read_rollouts(layout.rollouts(cell))
-        chosen = _different([rollout for rollout in rollouts if not rollout.success_held], num_videos)
+        chosen = _different([rollout for rollout in rollouts if not rollout.succeeded], num_videos)
         cells.append((cell, result, rollouts, len(chosen)))
         failures += [Failure(cell=cell, seed=one.seed, outcome=one.outcome, policy=policy) for one in chosen]
     videos = film_failures(failures, num_workers)
@@ -137,7 +137,7 @@ def sections(layout: Layout, num_videos: int = 0, num_workers: int = 1) -> list[
         own = [next(videos) for _ in range(count)]
         shown.append(
             Section(
-                title=_title(cell),
+                title=_title(cell) + steps_title(result),
                 result=result,
                 heat_map=drawing.svg(plots.failure_map(rollouts)),
                 videos=[video for video in own if video is not None],

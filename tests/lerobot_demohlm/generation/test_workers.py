@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from gym_demohlm.control import controllers
-from gym_demohlm.errors import DatasetError, DemoHLMError, UnknownNameError
+from gym_demohlm.errors import DatasetError, DemoHLMError, NoSuccessError, UnknownNameError
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.demonstrations import demonstration
+from lerobot_demohlm.generation import run as run_module
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.request import GenerationRequest
 from lerobot_demohlm.generation.run import GenerationRun
@@ -111,6 +112,19 @@ def test_no_more_blocks_are_begun_than_the_target_needs(tmp_path: Path) -> None:
     assert (first, run.num_attempts) == (range(4), 8)
     assert not run.target_met()
     assert list(GenerationRun.pending_blocks(run)) == [first]
+
+
+def test_a_run_without_a_success_gives_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that wants so many successes would never end."""
+    monkeypatch.setattr(run_module, "HOPELESS_ATTEMPTS", 8)
+    facts = make_facts(num_attempts=None, num_episodes=8)
+    run = GenerationRun.open(tmp_path / "data", "user/name", facts)
+    for attempts in run.pending_blocks():
+        episodes = [make_episode(index, length=3, outcome="dropped") for index in attempts]
+        write_block(run.directory, facts, attempts, episodes)
+    assert run.target_met() and run.num_attempts == 8
+    with pytest.raises(NoSuccessError, match=r"no success in 8 attempts \(8 dropped"):
+        run.finish()
 
 
 def finish(workers: ProcessWorkers, blocks: list[range]) -> list[Done]:
