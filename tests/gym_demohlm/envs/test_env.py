@@ -308,6 +308,9 @@ def test_bad_input_is_explained() -> None:
         make(task="LiftBoxx")
     with pytest.raises(UnknownNameError, match="R1, R2, R3"):
         make(region="R5")
+    for name in ("task", "variation", "perception"):  # None does not mean the default
+        with pytest.raises(UnknownNameError, match=f"{name} None"):
+            make(**{name: None})
     with pytest.raises(UnknownNameError, match="pixels_agent_pos"):
         make(obs_type="pixels")
     with pytest.raises(UnknownNameError, match="rgb_array"):
@@ -319,5 +322,6 @@ def test_bad_input_is_explained() -> None:
     vector = make_vector(2)
     with pytest.raises(SceneError, match="3 seeds"):
         vector.reset(seed=[1, 2, 3])
-    with pytest.raises(SceneError, match="initial_state"):
-        env.reset(options={"initial_state": 3})
+    for state in (3, {"robot": 5}, {"robot": "here"}):
+        with pytest.raises(SceneError, match="initial_state"):
+            env.reset(options={"initial_state": state})
