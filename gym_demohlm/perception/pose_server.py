@@ -147,11 +147,11 @@ def _answered(backend: Backend, parts: list[bytes]) -> bytes:
     request = None
     try:
         request = unpack_request(parts)
-        answers = backend(request)
+        return pack_answers(request.frame, list(backend(request)), 1e3 * (time.perf_counter() - began))
     except Exception as error:  # whatever a message does, the next one is answered too
         if not isinstance(error, DemoHLMError):
             _log.warning("a request that failed", exc_info=error)
         lost = Answer(T_optical_object=np.eye(4), valid=False, reason=str(error))
         answers = [lost] * (len(request.objects) if request is not None else 0)
     frame = -1 if request is None else request.frame
-    return pack_answers(frame, list(answers), 1e3 * (time.perf_counter() - began))
+    return pack_answers(frame, answers, 1e3 * (time.perf_counter() - began))

@@ -159,7 +159,11 @@ def pack_answers(frame: int, answers: Sequence[Answer], server_ms: float) -> byt
         server_ms: Time that it took [ms].
     """
     objects = [
-        {"T_optical_object": answer.T_optical_object.ravel().tolist(), "valid": answer.valid, "reason": answer.reason}
+        {
+            "T_optical_object": np.asarray(answer.T_optical_object, dtype=np.float64).ravel().tolist(),
+            "valid": bool(answer.valid),  # which may be NumPy's
+            "reason": str(answer.reason),
+        }
         for answer in answers
     ]
     return json.dumps({"frame": frame, "objects": objects, "server_ms": round(server_ms, 3)}).encode()

@@ -6,7 +6,7 @@ that falls short ends it: nothing is changed then, and what fell short is said.
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,14 @@ def switch(request: Request, folder: Path = WEIGHTS_FOLDER) -> str:
     Args:
         request: What was checked.
         folder: Where controllers are installed.
+
+    Raises:
+        NotAdoptedError: The weights file is not the one that was checked.
     """
+    if replace(request).key != request.key:  # worked out anew
+        raise NotAdoptedError(
+            f"{request.weights}, which has changed since it was checked", "what was checked", "check it again"
+        )
     weights = controllers.install(request.weights, folder)
     for name in packaged_tasks():
         there = demonstrations.default_root(get_task(name))

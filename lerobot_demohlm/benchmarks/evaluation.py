@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lerobot.configs.default import EvalConfig
 
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
@@ -72,6 +73,12 @@ def lerobots(
     return info["overall"]["eval_s"], successes
 
 
+def _made(num_episodes: int, batch_size: int | None) -> int:
+    """Return how many rollouts ``lerobot-eval`` makes: whole batches, of which it leaves out what is too much."""
+    size = EvalConfig(n_episodes=num_episodes, batch_size=batch_size or 0).batch_size
+    return -(-num_episodes // size) * size
+
+
 def measure(
     policy: Path, setting: Setting, num_episodes: int, num_lerobot_episodes: int, lerobot_batch_size: int | None = None
 ) -> dict[str, Any]:
@@ -93,6 +100,7 @@ def measure(
         began = time.monotonic()
         rollouts = evaluate(loaded, setting, seeds, Path(scratch) / "rollouts.jsonl")
         ours_s = time.monotonic() - began
+    made = _made(num_lerobot_episodes, lerobot_batch_size)
     both = list(zip(theirs, [rollout.success_held for rollout in rollouts], strict=False))
     return {
         "task": get_task(setting.task).name,
@@ -101,9 +109,9 @@ def measure(
         "num_workers": setting.num_workers,
         "num_worlds": setting.num_worlds,
         "lerobot_worlds": lerobot_batch_size or "as many as it chooses",
-        "lerobot_rollouts_per_hour": round(3600 * num_lerobot_episodes / theirs_s, 1),
+        "lerobot_rollouts_per_hour": round(3600 * made / theirs_s, 1),
         "rollouts_per_hour": round(3600 * num_episodes / ours_s, 1),
-        "ratio": round(num_episodes / ours_s / (num_lerobot_episodes / theirs_s), 2),
+        "ratio": round(num_episodes / ours_s / (made / theirs_s), 2),
         "compared": len(both),
         "agreeing": sum(one == other for one, other in both),
     }

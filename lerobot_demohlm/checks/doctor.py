@@ -281,8 +281,10 @@ def write_digests(path: Path) -> None:
         "parts": portability.parts(),
         "tasks": {name: portability.behaviour(get_task(name)) for name in all_tasks() if name in known},
     }
+    partial = path.with_name(f".{path.name}.partial")
     try:
-        path.write_text(json.dumps(content, indent=2) + "\n")
+        partial.write_text(json.dumps(content, indent=2) + "\n")
+        partial.replace(path)
     except OSError as error:
         raise DatasetError(f"{path} ({error})", "a file that may be written", "choose another --write") from error
 

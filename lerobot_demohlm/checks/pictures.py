@@ -50,13 +50,14 @@ class PictureCheck:
         self._painter = Painter(task, self._facts, get_variation(DataVariation.read(facts).variation))
         self.recorder = StateRecorder()
 
-    def compare(self, entries: Sequence[StoredEpisode]) -> list[Difference]:
+    def compare(self, entries: Sequence[StoredEpisode], worlds: Sequence[int]) -> list[Difference]:
         """Return the first difference of each episode whose pictures are not those of its states.
 
         Args:
             entries: One a world, in the order of the worlds.
+            worlds: Those to look at: where states differ, pictures do too.
         """
-        found = [self._first(entry, world) for world, entry in enumerate(entries)]
+        found = [self._first(entries[world], world) for world in worlds]
         self.recorder.clear()
         return [difference for difference in found if difference is not None]
 

@@ -193,9 +193,9 @@ class _Check:
             self._differs(last, "digest", "of the whole episode, though every step agrees")
         if self.difference is None and self.entry.outcome == "success" and not held(self._success):
             self._differs(last, "outcome", "success stored, but it did not hold for the last second")
-        if self.difference is None or not self._bounded:
-            return self.difference
         count = len(self._success)
+        if self.difference is None or not self._bounded or count == 0:
+            return self.difference
         seen = {name: np.array(rows[:count]).reshape(count, -1) for name, rows in self._seen.items()}
         return replace(self.difference, deviation=deviation(self.entry, seen, self._success))
 

@@ -231,10 +231,23 @@ def read_facts(root: Path) -> dict[str, Any]:
             f"format version {FORMAT_VERSION}",
             "generate the dataset again, or install the version of lerobot_env_demohlm that wrote it",
         )
-    wrong = [name for name, kind in _FACT_TYPES.items() if not isinstance(content.get(name), kind)]
+    wrong = [name for name, kind in _FACT_TYPES.items() if not isinstance(content.get(name), kind)] or unsound(content)
     if wrong:
         raise DatasetError(f"{path}, damaged ({', '.join(wrong)})", "the facts of a run", "generate the dataset again")
     return content
+
+
+def unsound(facts: Mapping[str, Any]) -> list[str]:
+    """Return the names of facts whose values cannot be: a file may say anything, and name a module to be imported."""
+    wrong = [] if ":" not in facts["task"] else ["task"]
+    if not all(isinstance(version, str) for version in facts["versions"].values()):
+        wrong.append("versions")
+    for name, read in (("variation", DataVariation.read), ("pictures", PictureFacts.read)):
+        try:
+            read(facts)
+        except (TypeError, ValueError, AttributeError, KeyError):
+            wrong.append(name)
+    return wrong
 
 
 def read_attempts(root: Path) -> list[dict[str, Any]]:
@@ -256,13 +269,20 @@ def check_records(records: Iterable[dict[str, Any]], source: str) -> None:
         records: What ``Episode.record`` gave.
         source: Where they were read, for the message.
     """
+    records = list(records)
     wrong = {
         name for record in records for name, kind in _RECORD_TYPES.items() if not isinstance(record.get(name), kind)
     }
+    if not wrong and not all(_is_numbers(value) for record in records for value in record["initial_state"].values()):
+        wrong = {"initial_state"}
     if wrong:
         raise DatasetError(
             f"{source} without {', '.join(sorted(wrong))}", "attempts as this version keeps them", "generate them again"
         )
+
+
+def _is_numbers(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(each, float | int) for each in value)
 
 
 def is_record(value: object) -> bool:

@@ -25,6 +25,7 @@ from lerobot_demohlm.datasets.facts import (
     is_record,
     read_attempts,
     read_facts,
+    unsound,
 )
 from lerobot_demohlm.datasets.tables import read_table
 from lerobot_demohlm.reproducibility import provenance
@@ -165,7 +166,8 @@ def _origin(root: Path, episode: int, content: Sequence[int] | None) -> Origin:
         names = ("task", "region", "demonstration_hash", "controller_hash", "model_hash")
         sound = is_record(record) and all(isinstance(facts[name], str) for name in names)
         sound = sound and isinstance(facts["seed"], int) and isinstance(facts["versions"], dict)
-    except (ValueError, KeyError, TypeError, RecursionError):
+        sound = sound and not unsound(facts)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         sound, facts, record = False, {}, {}
     if not sound:
         raise DatasetError(

@@ -274,6 +274,8 @@ def load(root: Path | None = None, task: Task | None = None) -> Demonstration:
         raise DemonstrationError(
             f"a demonstration of {metadata.get('task')}", f"one of {task.name}", "choose another one, or another --task"
         )
+    if ":" in str(metadata.get("task")):  # a file names no module to be imported
+        raise DemonstrationError(f"a demonstration of {metadata['task']!r}", "the name of a task", "restore the files")
     demonstration = _read(root, task or get_task(str(metadata.get("task"))), metadata)
     if demonstration.recording_hash != metadata.get("content_hash"):
         raise DemonstrationError(

@@ -164,7 +164,7 @@ def trained_task(path: Path, *, or_scored: bool = False) -> str | None:
     if name is None and or_scored:
         name = (trained.get("env") or {}).get("task")
     try:
-        return get_task(str(name)).name if name else None
+        return get_task(str(name).rpartition(":")[2]).name if name else None  # a file has no module imported
     except UnknownNameError:
         return None
 

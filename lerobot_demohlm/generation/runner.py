@@ -31,7 +31,7 @@ from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.demonstration import Demonstration
 from lerobot_demohlm.demonstrations.segmentation import require_approach, segment
 from lerobot_demohlm.generation.attempt import Attempts
-from lerobot_demohlm.generation.block import write_block
+from lerobot_demohlm.generation.block import storing, write_block
 from lerobot_demohlm.generation.request import Backend, GenerationRequest, GenerationSummary
 from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.stages import Settings
@@ -186,7 +186,8 @@ class BlockMaker:
         if self._recorder is None:
             write_block(directory, self.facts, attempts, episodes)
             return
-        with tempfile.TemporaryDirectory() as folder:
+        blocks = directory / "blocks"  # where what a killed worker leaves is removed with the run
+        with storing(directory), tempfile.TemporaryDirectory(dir=blocks, prefix=".painted-") as folder:
             drawn = self._painter.paint(episodes, self._recorder, Path(folder))
             write_block(directory, self.facts, attempts, episodes, drawn)
 

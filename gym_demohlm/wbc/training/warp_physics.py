@@ -4,6 +4,7 @@ mujoco_warp in float32, with NumPy float64 at the border. It also runs on the CP
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,9 @@ import warp as wp
 from gym_demohlm.errors import SceneError
 
 _ROWS_PER_CONTACT = 4  # of a pyramidal friction cone in three dimensions
+_PLANE, _SPHERE, _BOX = map(int, (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX))
+_CONTACTS = {(_PLANE, _SPHERE): 1, (_SPHERE, _SPHERE): 1, (_SPHERE, _BOX): 1, (_PLANE, _BOX): 4}  # at most
+_MOST_CONTACTS = 8  # of two boxes, and of whatever else
 _UNUSED = ("dof_length",)  # shared, differ with the masses, and are read for bodies that may sleep alone: none may
 
 
@@ -36,9 +40,7 @@ class WarpPhysics:
         self._device = _device(device)
         first = models[0]
         self._nq = first.nq
-        # Each geom is a sphere on a plane: at most one contact; each joint has at most one limit active.
-        contacts = int(np.count_nonzero(first.geom_contype))
-        rows = _ROWS_PER_CONTACT * contacts + int(np.count_nonzero(first.jnt_limited))
+        contacts, rows = (max(most) for most in zip(*map(most_contacts_and_rows, models), strict=True))
         with wp.ScopedDevice(self._device):
             self._model = _merge(models)
             self._data = mjw.make_data(first, nworld=num_worlds, nconmax=contacts, njmax=rows)
@@ -75,6 +77,26 @@ class WarpPhysics:
                 wp.capture_launch(self._graph)
             arrived = np.concatenate([data.time.numpy()[:, None], data.qpos.numpy(), data.qvel.numpy()], axis=1)
             return arrived.astype(np.float64), data.sensordata.numpy().astype(np.float64)
+
+
+def most_contacts_and_rows(model: mujoco.MjModel) -> tuple[int, int]:
+    """Return how many contacts, and how many rows of constraints, a world may have: what exceeds them is left out.
+
+    A pair of geoms that may touch counts with all its contacts, a joint with one limit and, where it has any, its dry
+    friction.
+    """
+    touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
+    pairs = [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+    for one, other in itertools.combinations(touching, 2):
+        meet = model.geom_contype[one] & model.geom_conaffinity[other]
+        meet |= model.geom_contype[other] & model.geom_conaffinity[one]
+        apart = model.body_weldid[model.geom_bodyid[one]] != model.body_weldid[model.geom_bodyid[other]]
+        if meet and apart:
+            pairs.append((one, other))
+    kinds = [tuple(sorted(int(model.geom_type[geom]) for geom in pair)) for pair in pairs]
+    contacts = sum(_CONTACTS.get(kind, _MOST_CONTACTS) for kind in kinds)
+    limits, friction = np.count_nonzero(model.jnt_limited), np.count_nonzero(model.dof_frictionloss)
+    return contacts, _ROWS_PER_CONTACT * contacts + int(limits + friction)
 
 
 def _device(name: str) -> wp.Device:

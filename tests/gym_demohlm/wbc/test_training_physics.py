@@ -11,6 +11,7 @@ import pytest
 from gym_demohlm.control import features
 from gym_demohlm.errors import SceneError
 from gym_demohlm.robot import g1
+from gym_demohlm.robot.physics import SECOND
 from gym_demohlm.wbc.training.model import SUBSTEPS, training_model
 from gym_demohlm.wbc.training.physics import STATE, RolloutPhysics, check_models, make_physics
 
@@ -187,3 +188,24 @@ def test_commands_at_which_robots_fell_come_back_with_the_one_before() -> None:
         practised += again.sum()
         assert (was[again] == before).all()
     assert practised > 0.05 * 64 * 3000 / 200  # draws last 200 ticks on average
+
+
+def test_a_gpu_has_room_for_every_contact_and_constraint() -> None:
+    """Also of feet that touch each other, and of dry joints, which some of the models have."""
+    warp_physics = pytest.importorskip("gym_demohlm.wbc.training.warp_physics")
+    rng = np.random.default_rng(0)
+    names = [g1.BODY_JOINTS[joint] for joint in features.OBSERVED_INDEX]
+    rolls = [7 + names.index(f"{side}_hip_roll") for side in g1.SIDES]
+    found = []
+    for model in (training_model(rng, physics=SECOND) for _ in range(8)):
+        contacts, rows = warp_physics.most_contacts_and_rows(model)
+        data = mujoco.MjData(model)
+        for inwards in np.linspace(0.0, 0.3, 40):
+            data.qpos[:7] = 0.0, 0.0, g1.PELVIS_HEIGHT - 0.01, 1.0, 0.0, 0.0, 0.0
+            data.qpos[7:] = _HOME + rng.normal(0.0, 0.02, len(_HOME))
+            data.qpos[rolls] += -inwards, inwards
+            mujoco.mj_forward(model, data)
+            assert data.ncon <= contacts and data.nefc <= rows
+            found.append(data.nefc)
+        assert rows >= 79  # the most of 14,000 narrow stances
+    assert max(found) > 50, "feet touch each other"

@@ -180,6 +180,15 @@ def test_a_switch_that_was_killed_is_completed(
     assert set(_tree(packaged).values()) == {hashlib.sha256(b"new").hexdigest()}
 
 
+def test_weights_that_changed_since_they_were_checked_are_not_installed(tmp_path: Path) -> None:
+    request = Request(weights=_limp(tmp_path / "new.npz"), work=tmp_path / "work")
+    assert request.key
+    shutil.copy(DEFAULT_WEIGHTS, request.weights)
+    with pytest.raises(adopt.NotAdoptedError, match=r"new\.npz, which has changed"):
+        adopt.switch(request, tmp_path / "weights")
+    assert not (tmp_path / "weights").exists()
+
+
 @pytest.mark.parametrize(("bad_seeds", "falls_short"), [([7000], False), ([7000, 7002], True), ([7001, 7002], False)])
 def test_a_lint_that_fails_once_in_three_is_chance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad_seeds: list[int], falls_short: bool

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -249,6 +250,29 @@ def test_damaged_files_are_errors(copy: Path) -> None:
         reader.read(copy, [0])
     (copy / facts.ATTEMPTS_PATH).write_text('{"attempt": 0, "outcome": "success", "frames": 3}\n')
     with pytest.raises(DatasetError, match="digest"):
+        facts.read_attempts(copy)
+
+
+@pytest.mark.parametrize(("fact", "value"), [
+    ("task", "stranger:LiftBox"), ("retries", "x"), ("pictures", "abc"), ("versions", {"cpu": 5}),
+])  # fmt: skip
+def test_facts_that_cannot_be_are_refused_and_nothing_is_imported(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fact: str, value: object
+) -> None:
+    (tmp_path / "stranger.py").write_text("raise AssertionError('a file had this module imported')")
+    monkeypatch.syspath_prepend(tmp_path)
+    kept = json.loads((copy / facts.FACTS_PATH).read_text())
+    (copy / facts.FACTS_PATH).write_text(json.dumps(kept | {fact: value}))
+    with pytest.raises(DatasetError, match="damaged"):
+        origin.task_of(copy)
+    assert cli.main(["verify", "--root", str(copy)]) == 2
+    assert "stranger" not in sys.modules
+
+
+@pytest.mark.parametrize("start", [{"robot": 5}, {"robot": ["x"]}, {"objects.mass.box": {}}])
+def test_starts_that_are_no_numbers_are_refused(copy: Path, start: dict[str, object]) -> None:
+    edit_record(copy, lambda record: record["initial_state"].update(start))
+    with pytest.raises(DatasetError, match="initial_state"):
         facts.read_attempts(copy)
 
 

@@ -113,6 +113,21 @@ def test_demonstrations_with_other_metadata(copy: Path, demonstration: Demonstra
         path.write_text(whole)
 
 
+def test_a_demonstration_names_no_module_to_be_imported(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "strange.py").write_text("raise AssertionError('a file had this module imported')")
+    monkeypatch.syspath_prepend(tmp_path)
+    path = copy / demonstrations.META_PATH
+    whole = path.read_text()
+    try:
+        write_json(path, json.loads(whole) | {"task": "strange:LiftBox"})
+        with pytest.raises(DemonstrationError, match="strange:LiftBox"):
+            demonstrations.load(copy)
+    finally:
+        path.write_text(whole)
+
+
 SEGMENTS = st.fixed_dictionaries(
     {},
     optional={
