@@ -5,6 +5,7 @@ A ready card in ``dataset_cards/`` is a card as it would be pushed; beside it li
 
 import importlib.resources
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -94,6 +95,21 @@ def render_card(meta: LeRobotDatasetMetadata, repo_id: str, facts: Mapping[str, 
         facts: Content of ``meta/demohlm.json``.
     """
     return render_values(card_values(meta, repo_id, facts))
+
+
+def is_by_hand(path: Path, meta: LeRobotDatasetMetadata, facts: Mapping[str, Any]) -> bool:
+    """Tell whether a dataset's card is not as it was rendered, so that somebody may have edited it.
+
+    Args:
+        path: Of the card, which may be missing.
+        meta: Metadata of the dataset.
+        facts: Content of ``meta/demohlm.json``.
+    """
+    if not path.exists():
+        return False
+    text = path.read_text(errors="replace")
+    named = re.search(r'LeRobotDataset\("([^"]*)"', text)
+    return named is None or text != render_card(meta, named[1], facts)
 
 
 def write_card(root: Path, repo_id: str, facts: Mapping[str, Any]) -> None:

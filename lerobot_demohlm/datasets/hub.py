@@ -1,11 +1,13 @@
 """A dataset on disk -> a dataset repository on the Hugging Face hub, with this project's card."""
 
+import logging
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
 from lerobot_demohlm.datasets.facts import read_facts
 from lerobot_demohlm.datasets.origin import is_edited, is_generated
 
+_log = logging.getLogger(__name__)
 CONTENT = ("data/*", "meta/*", "videos/*")
 """Where the files of a dataset lie. LeRobot reads all that it finds there, so those of an earlier push must go."""
 
@@ -14,8 +16,8 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
     """Upload a dataset and tag it with LeRobot's dataset version, as ``LeRobotDataset.push_to_hub`` does.
 
     What an earlier push left under ``CONTENT`` and this dataset lacks is deleted; other files of the repository stay.
-    LeRobot's own method would put its general card in place of ours. The endpoint and the token are the hub client's:
-    ``HF_ENDPOINT``, ``HF_TOKEN`` or ``hf auth login``.
+    The card names the repository, unless it was edited; LeRobot's own method would put its general card in its place.
+    The endpoint and the token are the hub client's: ``HF_ENDPOINT``, ``HF_TOKEN`` or ``hf auth login``.
 
     Args:
         root: Root of the dataset.
@@ -45,10 +47,14 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
     from lerobot.datasets import LeRobotDatasetMetadata
     from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
-    from lerobot_demohlm.datasets.card import render_card
+    from lerobot_demohlm.datasets.card import is_by_hand, render_card
 
     meta = LeRobotDatasetMetadata(repo_id, root=root)
-    (Path(root) / "README.md").write_text(render_card(meta, repo_id, facts))
+    card = Path(root) / "README.md"
+    if is_by_hand(card, meta, facts):
+        _log.warning("%s is pushed as it is, since it was edited; remove it to have a new one", card)
+    else:
+        card.write_text(render_card(meta, repo_id, facts))
     api = HfApi()
     message = f"{facts['task']}, {facts['region']}: {meta.total_episodes} episodes"
     try:

@@ -93,8 +93,8 @@ def most_contacts_and_rows(model: mujoco.MjModel) -> tuple[int, int]:
         apart = model.body_weldid[model.geom_bodyid[one]] != model.body_weldid[model.geom_bodyid[other]]
         if meet and apart:
             pairs.append((one, other))
-    kinds = [tuple(sorted(int(model.geom_type[geom]) for geom in pair)) for pair in pairs]
-    contacts = sum(_CONTACTS.get(kind, _MOST_CONTACTS) for kind in kinds)
+    types = [(int(model.geom_type[one]), int(model.geom_type[other])) for one, other in pairs]
+    contacts = sum(_CONTACTS.get((min(pair), max(pair)), _MOST_CONTACTS) for pair in types)
     limits, friction = np.count_nonzero(model.jnt_limited), np.count_nonzero(model.dof_frictionloss)
     return contacts, _ROWS_PER_CONTACT * contacts + int(limits + friction)
 

@@ -12,8 +12,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from lerobot.datasets import LeRobotDatasetMetadata
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.card import is_by_hand, render_card
+from lerobot_demohlm.datasets.facts import read_facts
 from lerobot_demohlm.datasets.hub import push
 from lerobot_demohlm.generation.block import write_block
 from lerobot_demohlm.generation.run import GenerationRun
@@ -174,6 +177,17 @@ def test_push_twice(hub: FakeHub, root: Path, tmp_path: Path) -> None:
     assert hub.created[0]["type"] == "dataset"
     assert hub.tokens == {"Bearer hf_secret"}
     assert f'LeRobotDataset("{REPO}")' in hub.files["README.md"].decode()  # the card names the repository pushed to
+
+
+def test_a_card_that_was_edited_is_kept(root: Path) -> None:
+    card, meta, facts = root / "README.md", LeRobotDatasetMetadata("local/name", root=root), read_facts(root)
+    assert not is_by_hand(card, meta, facts)
+    card.write_text(render_card(meta, "another/name", facts))
+    assert not is_by_hand(card, meta, facts), "of an earlier push"
+    card.write_text(card.read_text() + "\nWrite to us.\n")
+    assert is_by_hand(card, meta, facts)
+    card.unlink()
+    assert not is_by_hand(card, meta, facts)
 
 
 def test_refusal_is_one_clear_error(hub: FakeHub, root: Path, tmp_path: Path) -> None:
