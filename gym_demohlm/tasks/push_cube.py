@@ -32,7 +32,8 @@ PUSHING_N = 0.5  # least force of a palm that pushes
 STRUCK = 0.035  # m in a step; what is faster is struck, not pushed
 FIELD_EDGE = CUBE_POSITION[1] + PUSHED_DISTANCE  # m, y of the field's straight edge, which the cube's middle must pass
 FIELD_POSITION = (CUBE_POSITION[0], FIELD_EDGE + 0.08, TABLE_HEIGHT)  # the place of the field that is tracked
-FIELD_HALF_HEIGHT, FIELD_RIM = 0.002, 0.002  # m; the rim is what of the table's top is left around the field
+FIELD_HALF_HEIGHT = 0.002  # m
+FIELD_RIM = 0.002  # m between the field and the table's edge
 DROPPED, OVER_RIM = dropped("cube", 0.05), dropped("cube", 0.01)  # m below its start
 
 

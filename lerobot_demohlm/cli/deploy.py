@@ -94,22 +94,19 @@ def run(options: Options) -> None:
 
 
 def _release(options: Options) -> Callable[[], None]:
-    """Ask the robot which controller of its own runs; returns what releases it, which leaves the joints limp.
+    """Return what releases the robot's own controller, which leaves the joints limp; nothing where none runs.
 
     Raises:
         RobotError: One runs and was not to be released, or the robot does not answer.
     """
-    from lerobot_demohlm.hardware.errors import RobotError
     from lerobot_demohlm.hardware.link import Link
-    from lerobot_demohlm.hardware.motion_switcher import MotionSwitcher
+    from lerobot_demohlm.hardware.motion_switcher import MotionSwitcher, refuse_own_controller
 
+    if not options.release:
+        refuse_own_controller(options.interface, options.domain)
+        return lambda: None
     switcher = MotionSwitcher(Link(options.interface, options.domain))
-    name = switcher.check()
-    if name and not options.release:
-        raise RobotError(
-            f"the robot's own controller {name!r}", "none at work", "hang the robot in its gantry and give --release"
-        )
-    return switcher.release if name else lambda: None
+    return switcher.release if switcher.check() else lambda: None
 
 
 def _operate(options: Options, deployment: "Deployment") -> None:

@@ -21,7 +21,7 @@ class Options(GenerationRequest):
 
     Attributes:
         root: Directory of the dataset; must not exist.
-        num_episodes: Stop at this many successful episodes.
+        num_episodes: Stop at this many successful episodes, or after 512 attempts without one.
         num_attempts: Make this many attempts, successful or not.
         num_workers: Blocks of attempts that are made at a time.
         backend: Where attempts run: local processes or a Ray cluster.

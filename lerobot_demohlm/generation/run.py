@@ -35,7 +35,7 @@ from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
 _CODE, _GENERATOR = "code_hash", "generator_hash"
-HOPELESS_ATTEMPTS = 512  # without a success, after which a run that wants so many episodes gives up
+HOPELESS_ATTEMPTS = 512  # a run with a target of episodes gives up after so many attempts without a success
 _log = logging.getLogger(__name__)
 
 

@@ -93,7 +93,7 @@ class ControlProcess:
         self._kp, self._kd = np.array(gains.stiffness), np.array(gains.damping)
         self._gaze = [entry.name for entry in task.objects].index(task.gaze_target)
         self._search = Search(task)
-        needed = {task.gaze_target, *task.searched}
+        needed = {task.gaze_target, *task.searched}  # which the neck looks for before the robot runs
         self._needed = {index: entry.name for index, entry in enumerate(task.objects) if entry.name in needed}
         self._watch, self._odometry = StateWatch(settings.limits), LegOdometry()
         self._machine = StateMachine(limits=settings.limits, ages=settings.ages, sleep_limit=COMMAND_TIMEOUT_S)
@@ -179,10 +179,6 @@ class ControlProcess:
         if recorder is not None and bool(recorder.value["failed"]):
             failed = records.text(recorder.value["reason"])
         servos = self._slots["servos"].read() if self._settings.servos else None
-        pose = self._slots["pose"].read()
-        unseen = (
-            [] if pose is None else [n for i, n in self._needed.items() if not math.isfinite(pose.value["age_s"][i])]
-        )
         return Watched(
             state=self._watch.age_s,
             policy=since_policy,
@@ -192,9 +188,16 @@ class ControlProcess:
             operator=self._slots["operator"].age_s(),
             recorder=self._slots["recorder"].age_s() if self._settings.recorded else 0.0,
             recorder_failed=failed,
-            unseen=", ".join(unseen),
+            unseen=self._unseen(),
             slept=slept,
         )
+
+    def _unseen(self) -> str:
+        """Return the names of the needed objects that no look has shown yet; empty where there is no look at all."""
+        pose = self._slots["pose"].read()
+        if pose is None:
+            return ""
+        return ", ".join(name for index, name in self._needed.items() if not math.isfinite(pose.value["age_s"][index]))
 
     def _take_command(self, value: np.void, time_ns: int) -> None:
         """Follow a policy's command while running; one that is no command leaves the last one growing old."""

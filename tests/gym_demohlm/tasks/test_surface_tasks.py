@@ -102,6 +102,18 @@ def test_the_field_moves_with_the_table_and_not_with_the_cubes_yaw() -> None:
     sim.close()
 
 
+@pytest.mark.parametrize("x", [-0.15, 0.0, 0.15])  # a push may end that far from where the cube stood
+def test_what_is_pushed_far_enough_is_on_the_field_and_what_is_not_is_beside_it(x: float) -> None:
+    sim, below = simulation(push_cube.TASK), np.zeros(1, dtype=np.int32)
+    sim.reset([AWAY | {"object": [0.07, -0.15, 0.0]}])
+    put(sim, "cube", poses.pose([5.0, 0.0, 0.0]))
+    for further, expected in ((-0.005, "table"), (0.005, "field")):
+        above = np.array([push_cube.CUBE_POSITION[0] + x, 0.07 + push_cube.PUSHED_DISTANCE + further, 2.0])
+        mujoco.mj_ray(sim.model, sim.mj_data(), above, np.array([0.0, 0.0, -1.0]), None, 1, -1, below)
+        assert sim.model.body(sim.model.geom_bodyid[below[0]]).name == expected
+    sim.close()
+
+
 def test_whichever_way_the_cube_faces_it_is_pushed_onto_the_field() -> None:
     """The face is chosen from which the demonstrated push leads far enough to the left."""
     task, demonstration = push_cube.TASK, demonstrations.load(task=push_cube.TASK)

@@ -115,7 +115,7 @@ def test_no_more_blocks_are_begun_than_the_target_needs(tmp_path: Path) -> None:
 
 
 def test_a_run_without_a_success_gives_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that wants so many successes would never end."""
+    """A run with a target of successes would never end otherwise."""
     monkeypatch.setattr(run_module, "HOPELESS_ATTEMPTS", 8)
     facts = make_facts(num_attempts=None, num_episodes=8)
     run = GenerationRun.open(tmp_path / "data", "user/name", facts)
