@@ -11,7 +11,7 @@ import numpy as np
 
 from gym_demohlm.control import command
 from gym_demohlm.envs.episode import EXACT, RunningEpisodes, action_space, initial_state, observation_space
-from gym_demohlm.envs.rendering import Window
+from gym_demohlm.envs.rendering import HEIGHT, WIDTH, Window
 from gym_demohlm.errors import CommandError, UnknownNameError
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
@@ -32,6 +32,7 @@ class DemoHLMEnv(gym.Env):
         region: Initial region from which ``reset`` draws.
         controller: For one world, or its name, path or hash (`demohlm controllers`); the default one by default.
         perception: How observation and gaze see objects: "exact", "rgbd", "rgbd,masks=color" ... (docs/perception.md).
+        image_size: Width and height of the head camera's images [px]. Smaller ones are drawn as datasets' pictures are.
         variation: How the world differs from episode to episode: "none", "real" or "hard" (docs/variation.md).
 
     Attributes:
@@ -52,6 +53,7 @@ class DemoHLMEnv(gym.Env):
         region: str = DEFAULT_REGION,
         controller: Controller | str | None = None,
         perception: str | PerceptionSettings = EXACT,
+        image_size: tuple[int, int] = (WIDTH, HEIGHT),
         variation: str = "none",
     ) -> None:
         check_render_mode(render_mode)
@@ -59,10 +61,15 @@ class DemoHLMEnv(gym.Env):
         self.task, self.task_description = definition.name, definition.description
         self.region = definition.region(region).name
         self.render_mode = render_mode
-        self.observation_space = observation_space(definition, obs_type)
+        self.observation_space = observation_space(definition, obs_type, image_size)
         self.action_space = action_space()
         self._episodes = RunningEpisodes(
-            definition, obs_type=obs_type, controller=controller, perception=perception, variation=variation
+            definition,
+            obs_type=obs_type,
+            controller=controller,
+            perception=perception,
+            image_size=image_size,
+            variation=variation,
         )
         self._max_episode_steps = self._episodes.max_steps
         self._window: Window | None = None

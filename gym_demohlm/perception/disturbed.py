@@ -1,19 +1,21 @@
 """Any perceiver -> the same with a bias of an episode, lost frames and latency: for what these alone do, or as drawn.
 
 What is old is brought to the camera's present place by odometry: a robot knows when a picture was taken. So latency
-does nothing to what rests, and only what moves is told where it was.
+does nothing to what rests, and only what moves is told where it was. Time is that of the worlds, however often they
+are looked at.
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception.disturbance import Disturbance
 from gym_demohlm.perception.estimate import PERCEPTION_STREAM, Perceiver, PoseEstimate, faults_of
+from gym_demohlm.perception.look_clock import LookClock
 from gym_demohlm.perception.model import ModelPerceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
@@ -21,6 +23,26 @@ from gym_demohlm.timing import STEP_DT
 
 _TURN_OF_MM = math.radians(0.2)  # a tracker that is off by 5 mm is off by about a degree
 _OWN_STREAM = 1
+_SAME = 1e-6  # steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Frame:
+    """What a frame showed of the k objects of a world.
+
+    Attributes:
+        at: When, in steps of 0.1 s since the episode's first look.
+        T_world_objects: (k, 4, 4).
+        valid: (k,) see ``PoseEstimate``.
+        age_s: (k,) then.
+        inliers: (k,).
+    """
+
+    at: float
+    T_world_objects: np.ndarray
+    valid: np.ndarray
+    age_s: np.ndarray
+    inliers: np.ndarray
 
 
 @dataclass
@@ -31,13 +53,23 @@ class _World:
         rng: Of bias and lost frames.
         disturbance: What is wrong with its eyes.
         bias: Turns (k, 3, 3) and shifts (k, 3) [m] in the frame ``head_camera``; None before the first look.
-        seen: What was seen in the last frames, the oldest first: poses (k, 4, 4) in the world, valid, age, inliers.
+        now: Time since its first look, in steps of 0.1 s.
+        seen: The frame that was told last, and those after it.
     """
 
     rng: np.random.Generator
     disturbance: Disturbance
     bias: tuple[np.ndarray, np.ndarray] | None = None
-    seen: deque[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=deque)
+    now: float = 0.0
+    seen: deque[_Frame] = field(default_factory=deque)
+
+    def told(self, frame: _Frame) -> _Frame:
+        """Take in a new frame; returns the newest that is as old as the latency, or the oldest where none is yet."""
+        self.seen.append(frame)
+        latency = round(self.disturbance.latency_s / STEP_DT)
+        while len(self.seen) > 1 and self.now - self.seen[1].at > latency - _SAME:
+            self.seen.popleft()
+        return self.seen[0]
 
 
 class DisturbedPerceiver:
@@ -52,10 +84,12 @@ class DisturbedPerceiver:
     def __init__(self, source: Perceiver, settings: PerceptionSettings, num_worlds: int) -> None:
         self._source, self._plain = source, Disturbance.of(settings)
         self._worlds: list[_World | None] = [None] * num_worlds
+        self._clock = LookClock(num_worlds)
 
     def begin(self, rows: np.ndarray, seeds: Sequence[int]) -> None:
         """Forget everything about some worlds."""
         self._source.begin(rows, seeds)
+        self._clock.begin(rows)
         for row, seed in zip(rows, seeds, strict=True):
             rng = np.random.default_rng([PERCEPTION_STREAM, _OWN_STREAM, seed])
             self._worlds[row] = _World(rng=rng, disturbance=self._plain)
@@ -71,9 +105,9 @@ class DisturbedPerceiver:
 
     def observe(self, sim: Simulation, rows: np.ndarray) -> PoseEstimate:
         """Look through the other perceiver, and tell what is old, off or nothing new."""
-        now = self._source.observe(sim, rows)
-        T_world_camera = sim.pose("head_camera")[rows]
         worlds, lost = [self._world(int(row)) for row in rows], []
+        now, steps = self._source.observe(sim, rows), self._clock.steps(sim, rows)
+        T_world_camera = sim.pose("head_camera")[rows]
         turns, shifts = np.zeros((*now.valid.shape, 3, 3)), np.zeros((*now.valid.shape, 3))
         for place, world in enumerate(worlds):
             if world.bias is None:
@@ -85,15 +119,21 @@ class DisturbedPerceiver:
         T_world_objects = T_world_camera[:, None] @ biased
         told = []
         for place, world in enumerate(worlds):
-            new = T_world_objects[place], now.valid[place], now.age_s[place], now.inliers[place]
+            world.now = round(world.now + float(steps[place]), 3)
+            new = _Frame(
+                at=world.now,
+                T_world_objects=T_world_objects[place],
+                valid=now.valid[place],
+                age_s=now.age_s[place],
+                inliers=now.inliers[place],
+            )
             if lost[place] and world.seen:
-                T, valid, age, inliers = world.seen[-1]
-                new = T, np.zeros_like(valid), age + STEP_DT, inliers
-            world.seen.append(new)
-            if len(world.seen) > round(world.disturbance.latency_s / STEP_DT) + 1:
-                world.seen.popleft()
-            T, valid, age, inliers = world.seen[0]
-            told.append((T, valid, age + STEP_DT * (len(world.seen) - 1), inliers))
+                last = world.seen[-1]
+                older_s = last.age_s + STEP_DT * float(steps[place])
+                new = replace(last, at=world.now, valid=np.zeros_like(last.valid), age_s=older_s)
+            frame = world.told(new)
+            late_s = STEP_DT * round(world.now - frame.at, 3)
+            told.append((frame.T_world_objects, frame.valid, frame.age_s + late_s, frame.inliers))
         T, valid, age, inliers = (np.stack(column) for column in zip(*told, strict=True))
         T_camera_objects = poses.invert(T_world_camera)[:, None] @ T
         return PoseEstimate(T_camera_object=T_camera_objects, valid=valid, age_s=age, inliers=inliers)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import mujoco
 import numpy as np
 import zmq
 
@@ -15,8 +16,7 @@ from gym_demohlm.errors import DemoHLMError, SceneError, UnknownNameError
 from gym_demohlm.perception import masks
 from gym_demohlm.perception.camera import Intrinsics, whole
 from gym_demohlm.perception.meshes import ObjectMesh, object_meshes
-from gym_demohlm.perception.rgbd import hand_motions
-from gym_demohlm.perception.tracker import Tracker
+from gym_demohlm.perception.object_trackers import ObjectTrackers, doors
 from gym_demohlm.perception.wire import Answer, Request, pack_answers, unpack_request
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
@@ -36,10 +36,18 @@ class Backend(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Session:
-    """An episode: a tracker of each object, and where the hands were in the last picture."""
+class _Form:
+    """A task as a region has it: the shapes of its objects, and the scene in which they stand."""
 
-    trackers: list[Tracker]
+    meshes: dict[str, ObjectMesh]
+    model: mujoco.MjModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Session:
+    """An episode: its objects, and where the hands were in the last picture."""
+
+    followed: ObjectTrackers
     hands: dict[str, np.ndarray]
 
 
@@ -47,16 +55,23 @@ class TrackerBackend:
     """This project's tracker: one for each object of each session."""
 
     def __init__(self) -> None:
-        self._meshes: dict[tuple[str, str], tuple[ObjectMesh, ...]] = {}
+        self._forms: dict[tuple[str, str], _Form] = {}
         self._sessions: OrderedDict[tuple[str, ...], _Session] = OrderedDict()
 
     def __call__(self, request: Request) -> list[Answer]:
-        """Track the objects in a picture; masks that were not sent are found by colour.
+        """Track the objects in a picture.
+
+        Masks that were not sent are found by colour. Where an object is white, grey or black in part, colour tells
+        nothing (``masks.refuse_grey``): then no answer is valid, and each says why.
 
         Raises:
             UnknownNameError: No such task or region, or the task has no such object.
         """
-        meshes = self._known(request)
+        form = self._form(request)
+        meshes = [form.meshes[name] for name in request.objects]
+        grey = masks.grey(meshes) if request.masks is None else []
+        if grey:
+            return [_unseen(f"colour cannot tell {', '.join(grey)} from walls: send masks")] * len(meshes)
         height, width = request.depth.shape
         K = request.K
         known = Intrinsics(
@@ -64,36 +79,48 @@ class TrackerBackend:
         )
         session = (request.session, request.task, request.region, *request.objects)
         past = self._sessions.pop(session, None)
-        trackers = [Tracker(mesh, known) for mesh in meshes] if past is None else past.trackers
-        hands = {} if past is None else past.hands
+        followed = ObjectTrackers(meshes, known, doors(form.model, meshes)) if past is None else past.followed
         found = request.masks or [
             masks.component_near(masks.color(request.color, mesh.colors), None, _LEAST_PATCH) for mesh in meshes
         ]
-        answers = []
-        for tracker, mask in zip(trackers, found, strict=True):
-            motions = hand_motions(tracker, hands, request.hands)
-            track = tracker.update(request.depth, mask, whole(known), request.T_odom_optical, request.dt_s, motions)
-            if track is None or not track.valid:
-                answers.append(Answer(T_optical_object=np.eye(4), valid=False, reason="an object that is not seen"))
-            else:
-                T = poses.invert(request.T_odom_optical) @ track.T_odom_object
-                answers.append(Answer(T_optical_object=T, valid=True))
-        self._sessions[session] = _Session(trackers=trackers, hands=dict(request.hands))
+        followed.update(
+            request.depth,
+            dict(enumerate(found)),
+            whole(known),
+            request.T_odom_optical,
+            request.dt_s,
+            hands_before={} if past is None else past.hands,
+            hands=request.hands,
+            robot=np.zeros((height, width), bool),  # the server is not told which pixels are the robot's
+        )
+        self._sessions[session] = _Session(followed=followed, hands=dict(request.hands))
         while len(self._sessions) > _SESSIONS:
             self._sessions.popitem(last=False)
-        return answers
+        T_optical_odom = poses.invert(request.T_odom_optical)
+        return [
+            Answer(T_optical_object=T_optical_odom @ track.T_odom_object, valid=True)
+            if track is not None and track.valid
+            else _unseen("an object that is not seen")
+            for track in (tracker.track for tracker in followed.trackers)
+        ]
 
-    def _known(self, request: Request) -> list[ObjectMesh]:
-        form = request.task, request.region
-        if form not in self._meshes:
+    def _form(self, request: Request) -> _Form:
+        """Return the task's form, which has each object of the request."""
+        key = request.task, request.region
+        if key not in self._forms:
             task = get_task(request.task)
             task = task.at(request.region) if request.region else task
-            self._meshes[form] = object_meshes(build_scene(task).model, task)
-        by_name = {mesh.name: mesh for mesh in self._meshes[form]}
+            model = build_scene(task).model
+            self._forms[key] = _Form(meshes={mesh.name: mesh for mesh in object_meshes(model, task)}, model=model)
+        form = self._forms[key]
         for name in request.objects:
-            if name not in by_name:
-                raise UnknownNameError("object", name, by_name)
-        return [by_name[name] for name in request.objects]
+            if name not in form.meshes:
+                raise UnknownNameError("object", name, form.meshes)
+        return form
+
+
+def _unseen(reason: str) -> Answer:
+    return Answer(T_optical_object=np.eye(4), valid=False, reason=reason)
 
 
 BACKENDS = {"tracker": TrackerBackend}
@@ -151,7 +178,6 @@ def _answered(backend: Backend, parts: list[bytes]) -> bytes:
     except Exception as error:  # whatever a message does, the next one is answered too
         if not isinstance(error, DemoHLMError):
             _log.warning("a request that failed", exc_info=error)
-        lost = Answer(T_optical_object=np.eye(4), valid=False, reason=str(error))
-        answers = [lost] * (len(request.objects) if request is not None else 0)
+        answers = [_unseen(str(error))] * (len(request.objects) if request is not None else 0)
     frame = -1 if request is None else request.frame
     return pack_answers(frame, answers, 1e3 * (time.perf_counter() - began))

@@ -8,13 +8,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.perception import camera, d435, masks
 from gym_demohlm.perception.glass import Glass
 from gym_demohlm.perception.meshes import ObjectMesh, known_meshes
+from gym_demohlm.perception.object_trackers import ObjectTrackers, doors
 from gym_demohlm.perception.picture import photographed
 from gym_demohlm.perception.seeing import Eyes, Mounting, SeeingPerceiver, Sighting
 from gym_demohlm.perception.settings import FOCAL_OF_DEGREE, SHIFT_OF_DEGREE, PerceptionSettings
@@ -23,7 +23,6 @@ from gym_demohlm.perception.visual_model import Frame, VisualModel
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
 
-_NEAR_HAND = 0.22  # m, palm to a corner of an object that it may move
 _MARGIN = 60.0  # px around an object in which it is looked for
 _FOLLOWED_S = 0.35  # an object lost for longer is looked for in the whole image
 _FIXED_S = 0.5  # from one look at furniture to the next
@@ -74,14 +73,12 @@ class _Memory:
 
     Attributes:
         scale: The depth camera's factor.
-        trackers: One an object.
-        touched: Objects that a hand was near: they may lie otherwise than at first.
+        followed: The objects; None before the first look.
         since_s: Since furniture was looked at [s].
     """
 
     scale: float
-    trackers: list[Tracker]
-    touched: set[int] = field(default_factory=set)
+    followed: ObjectTrackers | None = None
     since_s: float = math.inf
 
 
@@ -105,7 +102,7 @@ class RgbdPerceiver(SeeingPerceiver):
         self._doors: dict[int, tuple[int, np.ndarray]] = {}
 
     def _begin_world(self, eyes: Eyes, row: int) -> None:
-        eyes.memory = _Memory(scale=d435.episode_scale(self._settings.noise, eyes.rng), trackers=[])
+        eyes.memory = _Memory(scale=d435.episode_scale(self._settings.noise, eyes.rng))
 
     def _open(self, sim: Simulation) -> VisualModel:
         visual, model = VisualModel(sim.model), sim.model
@@ -123,10 +120,12 @@ class RgbdPerceiver(SeeingPerceiver):
     ) -> list[Sighting | None]:
         settings, memory = self._settings, eyes.memory
         assert isinstance(memory, _Memory)
-        if not memory.trackers:
+        if memory.followed is None:
             known = visual.intrinsics.scaled(settings.focal_factor)
-            memory.trackers = [Tracker(mesh.scaled(settings.mesh_scale), known) for mesh in self._meshes]
-        trackers, due = memory.trackers, self._due(memory, eyes.dt_s)
+            meshes = [mesh.scaled(settings.mesh_scale) for mesh in self._meshes]
+            memory.followed = ObjectTrackers(meshes, known, self._doors)
+        trackers = memory.followed.trackers
+        due = self._due(memory, trackers, eyes.dt_s)
         for k in set(range(len(trackers))) - set(due):
             trackers[k].skip(eyes.dt_s)
         if not due:
@@ -134,33 +133,26 @@ class RgbdPerceiver(SeeingPerceiver):
         window = self._window([trackers[k] for k in due], T_odom_optical, visual)
         frame, depth = self._measured(visual, eyes, memory.scale, window)
         found = self._masks(visual, eyes, frame, {k: trackers[k] for k in due}, T_odom_optical)
-        hiders = self._robot[frame.ids]
-        in_front = {}
-        for k in due:  # what comes first in a task is handled on, in or before what follows
-            in_front[k] = hiders
-            hiders = hiders | found[k]
-        for k in sorted(due, key=lambda k: self._task.objects[k].moves_with is not None):
-            tracker, motions = trackers[k], hand_motions(trackers[k], eyes.palms, palms)
-            if motions:
-                memory.touched.add(k)
-            carried = self._carried(k, trackers)
-            lies = self._faces(k, tracker, T_odom_optical, found[k], frame.window) if carried is None else carried
-            expected = self._expected(k, memory)
-            tracker.update(
-                depth, found[k], frame.window, T_odom_optical, eyes.dt_s, motions, in_front[k], lies, expected
-            )
-            if carried is not None and k not in memory.touched:
-                tracker.settle(T_odom_optical, carried)
+        memory.followed.update(
+            depth,
+            found,
+            frame.window,
+            T_odom_optical,
+            eyes.dt_s,
+            hands_before=eyes.palms,
+            hands=palms,
+            robot=self._robot[frame.ids],
+        )
         return [sighting_of(tracker) for tracker in trackers]
 
-    def _due(self, memory: _Memory, dt_s: float) -> list[int]:
+    def _due(self, memory: _Memory, trackers: Sequence[Tracker], dt_s: float) -> list[int]:
         """Return the objects to be looked at in this frame."""
         memory.since_s += dt_s
         everything = memory.since_s > _FIXED_S - 0.5 * dt_s
         if everything:
             memory.since_s = 0.0
-        numbers = range(len(memory.trackers))
-        return [k for k in numbers if everything or not (self._meshes[k].fixed and _can_wait(memory.trackers[k]))]
+        numbers = range(len(trackers))
+        return [k for k in numbers if everything or not (self._meshes[k].fixed and _can_wait(trackers[k]))]
 
     def _masks(
         self, visual: VisualModel, eyes: Eyes, frame: Frame, trackers: dict[int, Tracker], T_odom_optical: np.ndarray
@@ -210,76 +202,10 @@ class RgbdPerceiver(SeeingPerceiver):
         right, bottom = np.max(high, axis=0).astype(int).tolist()
         return camera.Window(left=left, top=top, width=right - left, height=bottom - top)
 
-    def _carried(self, k: int, trackers: list[Tracker]) -> np.ndarray | None:
-        """Return how (3, 3) an object lies on what carries it, in odometry coordinates; None before that was seen."""
-        entry = self._task.objects[k]
-        if entry.moves_with is None:
-            return None
-        carrier = [other.name for other in self._task.objects].index(entry.moves_with)
-        track = trackers[carrier].track
-        if track is None:
-            return None
-        turn = entry.yaw - self._task.objects[carrier].yaw
-        return track.T_odom_object[:3, :3] @ poses.planar(0.0, 0.0, turn)[:3, :3]
-
-    def _expected(self, k: int, memory: _Memory) -> np.ndarray | None:
-        """Return where (4, 4) furniture stands by its door, in odometry coordinates; None for any place.
-
-        A door that nobody has touched is closed.
-        """
-        if k not in self._doors:
-            return None
-        door, T_door_object = self._doors[k]
-        track = memory.trackers[door].track
-        if track is None or not track.valid or door in memory.touched:
-            return None
-        return track.T_odom_object @ T_door_object
-
-    def _faces(
-        self, k: int, tracker: Tracker, T_odom_optical: np.ndarray, mask: np.ndarray, window: camera.Window
-    ) -> np.ndarray | None:
-        """Return roughly how (3, 3) an object lies, in odometry coordinates, as its front is seen.
-
-        None for any yaw, and where the tracker knows better.
-        """
-        entry = self._task.objects[k]
-        if tracker.was_whole or entry.symmetry != (0.0,) or not mask.any():
-            return None
-        by_column, by_row = np.count_nonzero(mask, axis=0), np.count_nonzero(mask, axis=1)
-        middle = np.array([by_column @ np.arange(len(by_column)), by_row @ np.arange(len(by_row))]) / by_row.sum()
-        middle = middle + window.corner
-        sight = T_odom_optical[:3, :3] @ tracker.intrinsics.unproject(middle, np.array(1.0))
-        return poses.planar(0.0, 0.0, math.atan2(sight[1], sight[0]) + entry.yaw)[:3, :3]
-
 
 def _can_wait(tracker: Tracker) -> bool:
     """Return whether furniture need not be looked at in each frame: its place is known, or it was lost."""
     return tracker.track is not None and (tracker.is_settled or not tracker.track.valid)
-
-
-def doors(model: mujoco.MjModel, meshes: Sequence[ObjectMesh]) -> dict[int, tuple[int, np.ndarray]]:
-    """Return the door of each piece of furniture that has one among the tracked objects.
-
-    Args:
-        model: Of the scene.
-        meshes: Of its tracked objects.
-
-    Returns:
-        By the furniture's number, the door's, and where (4, 4) the furniture is from the door that is closed.
-    """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    bodies = [model.body(mesh.name).id for mesh in meshes]
-    T_world = [poses.pose(data.xpos[body], data.xquat[body]) for body in bodies]
-    found = {}
-    for door, body in enumerate(bodies):
-        above = int(model.body_parentid[body])
-        while above > 0:
-            for k, mesh in enumerate(meshes):
-                if mesh.fixed and bodies[k] == above:
-                    found[k] = door, poses.invert(T_world[door]) @ T_world[k]
-            above = int(model.body_parentid[above])
-    return found
 
 
 def sighting_of(tracker: Tracker) -> Sighting | None:
@@ -288,12 +214,3 @@ def sighting_of(tracker: Tracker) -> Sighting | None:
     if track is None:
         return None
     return Sighting(T_odom_object=track.T_odom_object, valid=track.valid, age_s=track.age_s, inliers=track.inliers)
-
-
-def hand_motions(tracker: Tracker, before: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Return the motions since the last frame of the palms near an object."""
-    if tracker.track is None or not before:
-        return []
-    corners = poses.transform(tracker.track.T_odom_object, tracker.shape.vertices)
-    near = [side for side in now if np.linalg.norm(corners - before[side][:3, 3], axis=1).min() < _NEAR_HAND]
-    return [now[side] @ poses.invert(before[side]) for side in near]

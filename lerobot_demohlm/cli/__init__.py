@@ -35,6 +35,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DemoHLMError as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except (IsADirectoryError, NotADirectoryError, FileExistsError, PermissionError) as error:
+        if error.filename is None:
+            raise
+        print(f"error: got {error.filename} ({error.strerror}); check the paths of the command", file=sys.stderr)
+        return 2
     except KeyboardInterrupt as stop:
         print(f"interrupted{f': {stop}' if str(stop) else ''}", file=sys.stderr)
         return INTERRUPTED

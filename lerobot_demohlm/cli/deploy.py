@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from gym_demohlm.errors import DemoHLMError
+from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.parsing import default
 
 if TYPE_CHECKING:
@@ -30,8 +31,10 @@ class Options:
         controller: Name, path or hash of the whole-body controller.
         device: Where the policy runs, such as "cuda".
         tags: JSON file of which tag is where on which object, for apriltag with a camera.
-        camera: Camera of LeRobot as JSON, such as {"type": "intelrealsense", "serial_number_or_name": "..."}; without
-            one the world of a simulated robot is looked at.
+        region: Region whose objects there are; those of R4 may have other shapes, and fronts.
+        camera: Camera of LeRobot as JSON, such as {"type": "intelrealsense", "serial_number_or_name": "..."}, with a
+            calibration where it is no D435, see docs/deployment.md; without one the world of a simulated robot is
+            looked at.
         gamepad: Joystick device whose buttons may stop the robot, such as /dev/input/js0.
         release: Release the robot's own controller first; it goes limp and must hang in its gantry.
         hands_free: Stand and run without a key, for a simulated robot on lo only.
@@ -48,6 +51,7 @@ class Options:
     controller: str = "default"
     device: str = "cpu"
     tags: Annotated[Path | None, default("none")] = None
+    region: str = DEFAULT_REGION
     camera: Annotated[str | None, default("none")] = None
     gamepad: Annotated[Path | None, default("none")] = None
     release: bool = False
@@ -81,6 +85,7 @@ def run(options: Options) -> None:
         weights=controllers.find(options.controller),
         tags=options.tags,
         camera=options.camera or "",
+        region=options.region,
     )
     with Deployment(settings, _release(options)) as deployment:
         pad = None if options.gamepad is None else Gamepad(options.gamepad, deployment.request, deployment.estop)

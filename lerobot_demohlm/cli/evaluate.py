@@ -12,7 +12,7 @@ from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.cli.choices import Masks, Perception
 from lerobot_demohlm.cli.parsing import default
-from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, evaluate, summarize
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, MAX_SEED, evaluate, summarize
 from lerobot_demohlm.evaluation.loaded_policy import load_policy
 from lerobot_demohlm.evaluation.rollouts import NUM_WORLDS, Setting
 
@@ -79,10 +79,10 @@ def run(options: Options) -> None:
     """
     import torch
 
-    if options.num_episodes < 1 or options.seed < 0:
+    if options.num_episodes < 1 or not 0 <= options.seed <= MAX_SEED - options.num_episodes:
         raise PolicyError(
             f"num_episodes={options.num_episodes}, seed={options.seed}",
-            "at least one episode and a seed of 0 or more",
+            f"at least one episode and seeds from 0 to {MAX_SEED}",
             "correct them",
         )
     names = ("masks", "camera_error", "mesh_scale", "bias_mm", "latency_s", "dropout", "address")
@@ -105,6 +105,6 @@ def run(options: Options) -> None:
     facts = {"task": get_task(options.task).name, "region": options.region}
     if not perception.is_exact:
         facts["perception"] = str(perception)
-    if options.variation != "none":
-        facts["variation"] = options.variation
+    if setting.variation != "none":
+        facts["variation"] = setting.variation
     print(json.dumps({**facts, **summarize(rollouts)}))

@@ -49,11 +49,12 @@ def run(options: Options) -> None:
 
     Raises:
         DatasetError: There is no dataset, or the output exists.
-        PolicyError: Fewer than one step, episode or thread.
+        PolicyError: Fewer than one step, episode or thread, or an unknown device.
     """
     from gym_demohlm.registry import get_task
     from lerobot_demohlm.datasets.facts import read_facts
     from lerobot_demohlm.datasets.origin import is_generated
+    from lerobot_demohlm.policies.devices import require_device
     from lerobot_demohlm.policies.presets import train_config
     from lerobot_demohlm.policies.training import require_episodes, train, write_config
 
@@ -66,6 +67,7 @@ def run(options: Options) -> None:
     chosen = {name: getattr(options, name) for name in ("steps", "seed", "num_episodes", "device")}
     if options.write_config is not None:
         require_episodes(root, options.num_episodes)
+        require_device(options.device, here=False)
         config = train_config(root, output, options.policy, options.preset, **chosen)
         write_config(options.write_config, config)
         print(options.write_config)

@@ -15,6 +15,8 @@ import functools
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,16 +28,14 @@ from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm.datasets.floors import RANGE_FLOOR, STD_FLOOR
 from lerobot_demohlm.datasets.held_pictures import HeldPictures, fit_in_memory
 from lerobot_demohlm.datasets.origin import is_generated
 from lerobot_demohlm.datasets.writer import to_numpy
 
 SWITCH = "DEMOHLM_IN_MEMORY"
-STD_FLOOR = 0.01
-"""Smallest standard deviation a dataset in memory states, in each dimension's own unit (rad, rad/s, m, ...).
-
-A gripper that never moves has one of 1e-8: LeRobot's policies would see a deviation of a milliradian as 1e5.
-"""
+_UNSEEN: ContextVar[Callable[[str], bool]] = ContextVar("unseen", default=lambda key: False)
+"""Whether the policy that a dataset is opened for has no such input."""
 
 
 class Sample(dict[str, Any]):
@@ -78,8 +78,8 @@ class InMemoryDataset(LeRobotDataset):
     Datasets that LeRobot's tools have made of such ones are held, too.
 
     Samples equal those of ``LeRobotDataset`` with the same arguments. Statistics differ twice, also where pictures do
-    not fit: standard deviations have a floor (``STD_FLOOR``), and where some of the episodes are chosen, the statistics
-    are of those, so that a policy trained on the first hundred knows nothing of the others.
+    not fit: what never moves counts as if it moved a little (``floors.py``), and where some of the episodes are chosen,
+    the statistics are of those, so that a policy trained on the first hundred knows nothing of the others.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
@@ -95,7 +95,10 @@ class InMemoryDataset(LeRobotDataset):
             got, expected = f"{self.root} without the column {missing[0]}", "all that its meta/info.json names"
             raise DatasetError(got, expected, "restore the dataset, or generate it again")
         columns = {name: to_numpy(table.column(name)) for name in table.column_names}
+        unseen = {key for key in self.meta.video_keys if _UNSEEN.get()(key)}
         self.meta = copy.copy(self.meta)
+        features = {key: entry for key, entry in self.meta.features.items() if key not in unseen}
+        self.meta.info = replace(self.meta.info, features=features)
         self.meta.stats = _floored(self._stats(columns))
         self.is_held = fit_in_memory(self)
         if not self.is_held:
@@ -103,7 +106,7 @@ class InMemoryDataset(LeRobotDataset):
         self._columns = {name: torch.from_numpy(values.copy()) for name, values in columns.items()}
         self._tasks = list(self.meta.tasks.index)  # pyright: ignore[reportOptionalMemberAccess]
         deltas = self.reader.delta_indices or {}
-        self._deltas = {key: torch.as_tensor(steps) for key, steps in deltas.items()}
+        self._deltas = {key: torch.as_tensor(steps) for key, steps in deltas.items() if key not in unseen}
         _, episode, lengths = torch.unique_consecutive(
             self._columns["episode_index"], return_inverse=True, return_counts=True
         )
@@ -118,7 +121,8 @@ class InMemoryDataset(LeRobotDataset):
             for name in stats.keys() & columns.keys():
                 values = columns[name]
                 if values.dtype.kind == "f":
-                    stats[name] = get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+                    exact = values.astype(np.float64)  # a long sum of squares in single precision loses the deviation
+                    stats[name] = get_feature_stats(exact, axis=0, keepdims=values.ndim == 1)
             stats |= self._picture_stats(self.episodes)
         return stats
 
@@ -176,10 +180,20 @@ class InMemoryDataset(LeRobotDataset):
 
 
 def _floored(stats: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, np.ndarray]]:
-    return {
-        key: {name: np.maximum(value, STD_FLOOR) if name == "std" else value for name, value in entry.items()}
-        for key, entry in stats.items()
-    }
+    """Return statistics whose deviations, and ranges of observations that are no pictures, are not below the floors."""
+    floored = {}
+    for key, entry in stats.items():
+        entry = dict(entry)
+        if "std" in entry:
+            entry["std"] = np.maximum(entry["std"], STD_FLOOR)
+        if key.startswith("observation.") and "images" not in key and {"min", "max"} <= entry.keys():
+            low, high = entry["min"], entry["max"]
+            narrow = high - low < RANGE_FLOOR
+            middle = (low + high) / 2
+            entry["min"] = np.where(narrow, middle - RANGE_FLOOR / 2, low)
+            entry["max"] = np.where(narrow, middle + RANGE_FLOOR / 2, high)
+        floored[key] = entry
+    return floored
 
 
 def install() -> None:
@@ -196,11 +210,19 @@ def install() -> None:
 
 
 def _without_workers(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Wrap LeRobot's ``make_dataset``, which gets the configuration before any loading process is started."""
+    """Wrap LeRobot's ``make_dataset``, which gets the configuration before any loading process is started.
+
+    Pictures that the policy does not look at are left out: to decode them costs more than all else.
+    """
 
     @functools.wraps(make)
     def wrapped(cfg: Any) -> Any:  # noqa: ANN401
-        dataset = make(cfg)
+        seen = getattr(cfg.policy, "input_features", None)
+        token = _UNSEEN.set(lambda key: bool(seen) and key not in seen)
+        try:
+            dataset = make(cfg)
+        finally:
+            _UNSEEN.reset(token)
         if isinstance(dataset, InMemoryDataset) and dataset.is_held and cfg.num_workers > 0:
             logging.info(
                 "The dataset is held in memory, so no loading processes are started: num_workers=0 instead of "

@@ -28,6 +28,7 @@ class DataVariation:
         start_spread: Factor by which the region's ranges of the robot's pose are widened.
         stance_spread: Scale of the offset, up to 5 cm and 5 degrees, of the place from which the robot acts.
         variation: How worlds differ: none, real or hard, with a strength and groups as in "real@0.5:objects+pushes".
+            A name by which nothing differs, as "real@0", becomes none.
         perception: How observations and the neck see objects: exact, model, rgbd or apriltag, with options as
             "rgbd,masks=color" has. What plans the motion sees exactly. Where the variation has the group perception,
             exact has the errors that episodes draw.
@@ -47,8 +48,8 @@ class DataVariation:
     perception: str = _knob("exact", plain="exact")
 
     def __post_init__(self) -> None:
-        """Check the knobs."""
-        get_variation(self.variation)
+        """Check the knobs, and name a variation that varies nothing as the plain one."""
+        object.__setattr__(self, "variation", get_variation(self.variation).name)
         if PerceptionSettings.read(self.perception).source == "remote":
             raise DatasetError("generation with perception remote", "eyes that see the same again", "choose rgbd")
         for knob in fields(self):

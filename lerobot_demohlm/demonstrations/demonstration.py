@@ -308,6 +308,13 @@ def _read(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
         raise DemonstrationError(f"{root}, damaged ({error})", "a demonstration", "record it again") from error
 
 
+def _read_corrections(path: Path) -> Any:  # noqa: ANN401  what it says is checked where segments are cut
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise DemonstrationError(f"{path}, no JSON ({error})", "segments", "mend that file, or remove it") from error
+
+
 def _parse(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
     import pyarrow.parquet as pq
 
@@ -323,7 +330,7 @@ def _parse(root: Path, task: Task, metadata: dict[str, Any]) -> Demonstration:
     with np.load(root / SNAPSHOTS_PATH, allow_pickle=False) as arrays:
         snapshots = {name: arrays[name] for name in arrays.files}
     corrections_path = root / CORRECTIONS_PATH
-    corrections = json.loads(corrections_path.read_text()) if corrections_path.exists() else None
+    corrections = _read_corrections(corrections_path) if corrections_path.exists() else None
 
     def stacked(pattern: str, names: tuple[str, ...]) -> np.ndarray:
         return np.stack([columns[pattern.format(name)] for name in names], axis=1)

@@ -1,7 +1,9 @@
 """LeRobot's interface of a robot <-> a G1 in a simulated world, or on a network: 68 numbers seen, 23 sent."""
 
 import functools
+import math
 import re
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -162,7 +164,7 @@ def _follow_episodes(shown: live.Operated, begin: Callable[[], None]) -> Callabl
     """Have something done whenever a dataset of this process has stored an episode or dropped it; returns the undoing.
 
     LeRobot tells a robot nothing of episodes. The world must begin anew between the last frame of one and the first of
-    the next, and nowhere else. So ``shown.recorded`` says whether the present one has frames.
+    the next, and nowhere else. So ``shown.framed_s`` says when the present one got its newest frame.
     """
     from lerobot.datasets import LeRobotDataset
 
@@ -172,8 +174,10 @@ def _follow_episodes(shown: live.Operated, begin: Callable[[], None]) -> Callabl
         @functools.wraps(original)
         def call(*arguments: Any, **options: Any) -> Any:  # noqa: ANN401
             result = original(*arguments, **options)
-            shown.recorded = original is originals["add_frame"]
-            if not shown.recorded:
+            if original is originals["add_frame"]:
+                shown.framed_s = time.monotonic()
+            else:
+                shown.framed_s = -math.inf
                 begin()
             return result
 

@@ -4,6 +4,7 @@ LeRobot hands a teleoperator no more than the robot's joints, and a loop may run
 thread of its own, and a teleoperator of the same process sees it here, as a person sees the room.
 """
 
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -53,8 +54,9 @@ class Operated(Protocol):
     sim: Simulation
     pace: RealTimeWorld
     seen: Seen
-    recorded: bool
-    """Whether a dataset of LeRobot's holds frames of the present episode, which it has not stored yet."""
+    framed_s: float
+    """When a dataset of LeRobot's got its newest frame of the present episode, by ``time.monotonic`` [s]; ``-inf``
+    where it holds none that it has not stored."""
     stays: bool
     """Whether a new episode leaves the robot as it is, as it does a real one."""
 
@@ -78,7 +80,7 @@ class LiveWorld:
         sim: The world; only its own thread may step it.
         pace: What holds it to the clock.
         seen: The world after the last step.
-        recorded: See ``Operated``.
+        framed_s: See ``Operated``.
         stays: See ``Operated``.
     """
 
@@ -87,7 +89,7 @@ class LiveWorld:
     def __init__(self, task: Task, region: str, seed: int, spread: float, *, by_clock: bool) -> None:
         self.task, self.sim = task, Simulation(task)
         self.pace = RealTimeWorld(self.sim)
-        self.recorded = False
+        self.framed_s = -math.inf
         self._region, self._seed, self._spread, self._by_clock = region, seed, spread, by_clock
         self._lock = threading.RLock()
         self._wanted, self._sent_at = command.rest(), -np.inf

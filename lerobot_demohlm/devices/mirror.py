@@ -4,6 +4,7 @@ A robot measures its joints and how it is tilted, not where it is. Here it stand
 it does is counted from there, see ``hardware.odometry``. Objects are where the pose source sees them.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,7 +41,7 @@ class Mirror:
         sim: The scene; only its own thread may change it.
         pace: What shows its ticks.
         seen: The robot after the last step of 0.1 s. ``success`` is never true: nobody measures it.
-        recorded: See ``live.Operated``.
+        framed_s: See ``live.Operated``.
         stays: See ``live.Operated``.
     """
 
@@ -49,7 +50,7 @@ class Mirror:
     def __init__(self, task: Task, read: Callable[[str], Reading | None]) -> None:
         self.task, self.sim, self._read = task, Simulation(task), read
         self.pace = RealTimeWorld(self.sim)
-        self.recorded = False
+        self.framed_s = -math.inf
         self._episode, self._step, self._new = -1, 0, True
         self._lock, self._stop = threading.Lock(), threading.Event()
         self.reset()

@@ -11,6 +11,7 @@ from abc import abstractmethod
 from typing import Any
 
 from lerobot.teleoperators.teleoperator import Teleoperator
+from lerobot.utils.keyboard_input import pynput_can_capture
 
 from gym_demohlm.control import command
 from gym_demohlm.control.ik import WholeBodyIK
@@ -32,6 +33,13 @@ from lerobot_demohlm.teleop.recorder import solve
 from lerobot_demohlm.teleop.session import SessionError
 from lerobot_demohlm.teleop.status import ENGAGED, IDLE, Status
 from lerobot_demohlm.teleop.web.server import TeleopServer
+
+EPISODE_OVER_S = 1.0  # without a frame, after which an episode that LeRobot has not stored yet gets no more
+ELSEWHERE = "recorded by LeRobot: its keys are at the terminal"
+HEARD = (
+    "recorded by LeRobot, which hears the keys of this page, too: right arrow and N end its episode, left arrow and R "
+    "drop it, Esc and Q end all; move the robot by mouse, gamepad, phone or headset"
+)
 
 
 class _Operating(Teleoperator):
@@ -203,7 +211,7 @@ class _Stage:
     def __init__(self, world: live.Operated, config: _PageConfig, clutch: Clutch) -> None:
         self.world, self.task, self.sim, self.clutch = world, world.task, world.sim, clutch
         self.targets = world.seen.view.T_world_hands
-        self.paused, self.message = False, "recorded by LeRobot: its keys are at the terminal"
+        self.paused, self.message = False, HEARD if pynput_can_capture() else ELSEWHERE
         self.server = TeleopServer(
             self, config.host, config.port, lambda line: print(line, flush=True), pace=world.pace, step=self._wait
         )
@@ -231,11 +239,11 @@ class _Stage:
         """
         if button != "discard":
             raise SessionError(f"{button!r} while LeRobot records", "discard", "use LeRobot's keys at the terminal")
-        if self.world.recorded:
+        if time.monotonic() - self.world.framed_s < EPISODE_OVER_S:
             raise SessionError(
                 "'discard' within LeRobot's episode",
                 "it between two episodes",
-                "use LeRobot's left arrow, which records the episode again",
+                "wait until the episode has ended; LeRobot's left arrow drops it and records it again",
             )
         self.world.reset()
 

@@ -43,6 +43,10 @@ class DemoHLMEnvConfig(EnvConfig):
     """How worlds differ from episode to episode: none, real or hard, or groups of them such as real:objects+pushes."""
     obs_type: str = "state"
     """"state", or "pixels_agent_pos" to add the head camera's image."""
+    image_width: int = WIDTH
+    """Width of the image [px]. A policy needs that of its training's pictures."""
+    image_height: int = HEIGHT
+    """Height of the image [px]. A policy needs that of its training's pictures."""
     render_mode: str = "rgb_array"
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
@@ -51,9 +55,11 @@ class DemoHLMEnvConfig(EnvConfig):
         """Check the names and fill the feature tables from the environment's."""
         if self.obs_type not in OBSERVATION_TYPES:
             raise UnknownNameError("obs_type", self.obs_type, OBSERVATION_TYPES)
+        if min(self.image_width, self.image_height) < 1:
+            raise ValueError(f"got images of {self.image_width} x {self.image_height} pixels; expected 1 or more each")
         find(self.controller)
         self.perception = str(PerceptionSettings.read(self.perception))
-        get_variation(self.variation)
+        self.variation = get_variation(self.variation).name
         widths = set()
         for task in self.tasks:
             task.region(self.region)
@@ -69,9 +75,12 @@ class DemoHLMEnvConfig(EnvConfig):
             ACTION: (FeatureType.ACTION, (command.SIZE,), ACTION),
         }
         if self.obs_type == "pixels_agent_pos":
-            vectors[f"pixels/{CAMERA}"] = (FeatureType.VISUAL, (HEIGHT, WIDTH, 3), f"{OBS_IMAGES}.{CAMERA}")
+            vectors[f"pixels/{CAMERA}"] = self._picture()
         self.features = {key: PolicyFeature(type=kind, shape=shape) for key, (kind, shape, _) in vectors.items()}
         self.features_map = {key: name for key, (_, _, name) in vectors.items()}
+
+    def _picture(self) -> tuple[FeatureType, tuple[int, int, int], str]:
+        return FeatureType.VISUAL, (self.image_height, self.image_width, 3), f"{OBS_IMAGES}.{CAMERA}"
 
     @property
     def tasks(self) -> list[Task]:
@@ -91,6 +100,7 @@ class DemoHLMEnvConfig(EnvConfig):
             "render_mode": self.render_mode,
             "region": self.region,
             "perception": self.perception,
+            "image_size": (self.image_width, self.image_height),
             "controller": self.controller,
             "variation": self.variation,
         }

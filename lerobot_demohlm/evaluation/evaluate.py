@@ -20,6 +20,7 @@ from lerobot_demohlm.reproducibility import provenance
 FIRST_SEED = 1_000_000
 """Rollouts draw their starts from this seed on. Generation draws from (seed, attempt) pairs: of the starts of
 rollouts only that of seed 0 is one of them, the first one of seed 0."""
+MAX_SEED = 2**63 - 1
 SUCCESSES = ("success_strict", "success_held", "success_end", "success_ever")
 
 
@@ -53,15 +54,16 @@ def evaluate(
     """
     from tqdm import tqdm
 
+    task = get_task(setting.task)
     header = {
-        "task": get_task(setting.task).name,
+        "task": task.name,
         "region": setting.region,
         "perception": setting.perception,
         "variation": setting.variation,
         "policy": loaded.kind,
         "policy_hash": loaded.hash,
         "controller": provenance.controller_hash(setting.controller),
-        "code": provenance.code_hash(),
+        "code": provenance.simulation_hash(task),
     }
     setting = setting.limited(len(seeds))  # of all seeds, so that a resumed batch is as wide as it was
     found = {rollout.seed: rollout for rollout in resumed_rollouts(output, header)}
@@ -100,6 +102,12 @@ def wilson(successes: int, count: int, z: float = 1.959964) -> tuple[float, floa
     return max(0.0, min(rate, centre - half)), min(1.0, max(rate, centre + half))  # min and max: rounding at 0 and 1
 
 
+def success_rate(successes: int, count: int) -> dict[str, Any]:
+    """Return the share of successes and its Wilson interval, as files and tables have them."""
+    low, high = wilson(successes, count)
+    return {"rate": round(successes / count, 4), "interval": [round(low, 4), round(high, 4)]}
+
+
 def summarize(rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return the success rates of rollouts with their intervals, and the count of each outcome."""
     content: dict[str, Any] = {"episodes": len(rollouts)}
@@ -107,8 +115,7 @@ def summarize(rollouts: Sequence[Rollout]) -> dict[str, Any]:
         if any(getattr(rollout, name) is None for rollout in rollouts):
             continue  # of a version that did not judge it
         successes = sum(getattr(rollout, name) for rollout in rollouts)
-        low, high = wilson(successes, len(rollouts))
-        content[name] = {"rate": round(successes / len(rollouts), 4), "interval": [round(low, 4), round(high, 4)]}
+        content[name] = success_rate(successes, len(rollouts))
     counts = Counter(rollout.outcome for rollout in rollouts)
     return content | {"outcomes": {outcome: counts[outcome] for outcome in OUTCOMES}}
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import get_task
-from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, summarize
+from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, success_rate, summarize
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting
@@ -89,7 +89,7 @@ def run(
             "cells": cells,
             "score": _score(cells),
             "commit": commit(),
-            "code_hash": provenance.code_hash(),
+            "code_hash": provenance.simulation_hash(get_task(task)),
             "versions": provenance.bit_versions(),
         }
     )
@@ -182,9 +182,19 @@ def _require_consistent(path: Path, content: Mapping[str, Any]) -> None:
         raise DatasetError(
             f"{path} with the score {content['score']}", f"{_score(cells)}, by its cells", "measure the policy again"
         )
+    get_task(content["task"])
+    controllers = set()
     for cell in cells:
         if cell["first_seed"] != first_seed(content["task"], cell["region"]):
             raise DatasetError(f"{path} with other starts", "those of the protocol", "measure the policy again")
+        successes, episodes = cell["successes"], cell["episodes"]
+        fits = 0 <= successes <= episodes == sum(cell["outcomes"].values())
+        if not fits or cell["success_strict"] != success_rate(successes, episodes):
+            raise DatasetError(
+                f"{path} with a rate of {cell['success_strict']['rate']} in {cell['region']}, {cell['variation']}",
+                f"what follows from {successes} successes and one outcome for each of {episodes} rollouts",
+                "measure the policy again",
+            )
         file = path.parent / f"rollouts_{cell['region'].lower()}_{cell['variation']}.jsonl"
         if not file.exists():
             continue
@@ -195,8 +205,13 @@ def _require_consistent(path: Path, content: Mapping[str, Any]) -> None:
         begin = cell["first_seed"]
         if sorted(rollout.seed for rollout in found) != list(range(begin, begin + cell["episodes"])):
             wrong.append("first_seed")
-        if {(rollout.task, rollout.policy_hash) for rollout in found} != {(content["task"], content["policy_hash"])}:
-            wrong.append("policy_hash")
+        said = {name: content[name] for name in ("task", "policy", "policy_hash")}
+        said |= {"region": cell["region"], "variation": cell["variation"], "perception": "exact"}
+        said["code"] = content["code_hash"]
+        wrong += [name for name, value in said.items() if {getattr(rollout, name) for rollout in found} != {value}]
+        controllers |= {rollout.controller for rollout in found}
+        if len(controllers) > 1:
+            wrong.append("controller")
         if wrong:
             raise DatasetError(f"{path} with another {wrong[0]} than {file.name}", "the same", "measure it again")
 

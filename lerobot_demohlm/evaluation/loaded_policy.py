@@ -79,6 +79,7 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
     from lerobot.configs import PreTrainedConfig
     from lerobot.envs import env_to_policy_features
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+    from safetensors import SafetensorError
 
     import lerobot_demohlm
     from lerobot_demohlm.evaluation.env_config import DemoHLMEnvConfig
@@ -94,10 +95,16 @@ def load_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
         if key not in known or not _fits(key, tuple(feature.shape), tuple(known[key].shape)):
             offered = f"{key} {known[key].shape}" if key in known else f"one of {', '.join(known)}"
             raise PolicyError(f"a policy with {key} {feature.shape}", offered, f"train it on a dataset of {task}")
-    policy = get_policy_class(config.type).from_pretrained(path, config=config)
-    preprocessor, postprocessor = make_pre_post_processors(
-        config, pretrained_path=str(path), preprocessor_overrides={"device_processor": {"device": device}}
-    )
+    try:
+        policy = get_policy_class(config.type).from_pretrained(path, config=config)
+        preprocessor, postprocessor = make_pre_post_processors(
+            config, pretrained_path=str(path), preprocessor_overrides={"device_processor": {"device": device}}
+        )
+    except (OSError, ValueError, RuntimeError, SafetensorError) as error:
+        said = str(error).partition("\n")[0]
+        raise PolicyError(
+            f"{path}, damaged ({said})", "a checkpoint that is whole", "restore or train it again"
+        ) from error
     env_preprocessor, env_postprocessor = env_config.get_env_processors()
     trained = _training(path)
     return LoadedPolicy(
@@ -172,7 +179,10 @@ def trained_task(path: Path, *, or_scored: bool = False) -> str | None:
 def _training(path: Path) -> dict[str, Any]:
     """Return the training configuration beside a checkpoint, empty where there is none."""
     file = path / "train_config.json"
-    return json.loads(file.read_text()) if file.is_file() else {}
+    try:
+        return json.loads(file.read_text()) if file.is_file() else {}
+    except ValueError as error:
+        raise PolicyError(f"{file}, no JSON ({error})", "a training's configuration", "restore or remove it") from error
 
 
 def _num_train_episodes(trained: dict[str, Any]) -> int | None:

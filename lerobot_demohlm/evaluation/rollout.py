@@ -32,7 +32,8 @@ class Rollout:
             z [m], yaw [rad]) as differences from the task's layout, and the conditions of its world.
         variation: How worlds differed.
         controller: SHA-256 of the whole-body controller's weights; empty in files of versions that did not note it.
-        code: SHA-256 of the code of the simulation; empty in files of versions that did not note it.
+        code: SHA-256 of the code of the simulation, and of the task's file where that is outside of the package; empty
+            in files of versions that did not note it.
     """
 
     task: str

@@ -45,7 +45,7 @@ class Setting:
         num_workers: Processes; more than one for a policy on the CPU only.
         perception: How observation and gaze see objects, see ``gym_demohlm.perception.settings``.
         controller: Name, path or hash of the whole-body controller.
-        variation: How worlds differ: "none", "real" or "hard".
+        variation: How worlds differ, see ``get_variation``; "none" where nothing does, as by "real@0".
     """
 
     task: str
@@ -61,7 +61,7 @@ class Setting:
         """Check names and counts."""
         get_task(self.task).region(self.region)
         object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
-        get_variation(self.variation)
+        object.__setattr__(self, "variation", get_variation(self.variation).name)
         for name in ("num_worlds", "num_threads", "num_workers"):
             if getattr(self, name) < 1:
                 raise PolicyError(f"{name}={getattr(self, name)}", "1 or more", f"correct --{name.replace('_', '-')}")
@@ -211,7 +211,7 @@ def _batch(
             variation=env.sim.variation.name,
             success_strict=bool(infos["success_strict"][world]),
             controller=provenance.controller_hash(setting.controller),
-            code=provenance.code_hash(),
+            code=provenance.simulation_hash(get_task(env.task)),
         )
         for world, seed in enumerate(seeds)
     ]

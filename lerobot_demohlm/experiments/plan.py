@@ -16,6 +16,7 @@ from gym_demohlm.scene import build_scene
 from gym_demohlm.task import DEFAULT_REGION, SCORING_SEEDS, WIDEST
 from gym_demohlm.variation import get_variation
 from gym_demohlm.variation.factors import GROUPS
+from lerobot_demohlm.datasets.floors import RANGE_FLOOR
 from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
 from lerobot_demohlm.experiments.variants import DEFAULT_VARIANT, PLAIN, VARIANTS, sight, sight_stamp, stamp
@@ -107,7 +108,7 @@ class Cell:
         get_preset(self.policy, self.preset)
         if self.variant not in VARIANTS:
             raise UnknownNameError("variant", self.variant, VARIANTS)
-        get_variation(self.variation)
+        object.__setattr__(self, "variation", get_variation(self.variation).name)
         object.__setattr__(self, "perception", str(PerceptionSettings.read(self.perception)))
         if self.num_train_episodes < 1 or self.train_seed < 0 or self.steps < 1:
             raise PolicyError(
@@ -150,7 +151,9 @@ class Cell:
     @property
     def recipe(self) -> str:
         """Return eight letters that change with the preset's hyperparameters and the steps."""
-        return _digest(get_preset(self.policy, self.preset), self.steps)
+        preset = get_preset(self.policy, self.preset)
+        ranges = "MIN_MAX" in preset.options.get("normalization_mapping", {}).values()
+        return _digest(preset, self.steps, *([RANGE_FLOOR] if ranges else []))
 
     def is_of(self, result: PolicyResult) -> bool:
         """Tell whether a result is this cell's, as the cell would be made now."""
@@ -177,7 +180,7 @@ class RegionCell:
     def __post_init__(self) -> None:
         """Check names."""
         get_task(self.task).region(self.region)
-        get_variation(self.variation)
+        object.__setattr__(self, "variation", get_variation(self.variation).name)
 
     @property
     def stamp(self) -> str:
@@ -227,12 +230,13 @@ def plan(
         if idle:
             name = idle[0]
             raise PolicyError(f"{name} for the table of regions", "options of generation", f"leave --{name} out")
-        return [
+        found = (
             RegionCell(task=task, region=region, variation=variation)
             for variation in grid.variations
             for region in grid.regions
             for task in names
-        ]
+        )
+        return list(dict.fromkeys(found))
     mixed = table == "main" and chosen.get("policies") is None
     cells = [
         Cell(

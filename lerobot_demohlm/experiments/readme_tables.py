@@ -185,8 +185,10 @@ def update_page(page: Path, results: Path) -> bool:
         results: Folder of JSON lines.
 
     Raises:
-        DatasetError: It has no markers, or one without the other.
+        DatasetError: There is no such file, or it has no markers, or one without the other.
     """
+    if not page.is_file():
+        raise DatasetError(f"no file {page}", "a page with markers of tables", "check --readme and --pages")
     before = text = page.read_text()
     for name, table in MARKED.items():
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"

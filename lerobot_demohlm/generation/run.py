@@ -6,6 +6,7 @@ On disk, beside the future root::
     <root>.partial/lock          held by the process that is at work
     <root>.partial/blocks/       one directory a block, see ``block.py``
     <root>.partial/finished/     the merged datasets, on their way to the root
+    .<root>.removed/             what was <root>.partial, once all is at the root, until it is deleted
 
 A block is a function of the facts and its attempts alone, so a run that was killed and resumed ends in the same files
 as one that never was, and so does one with more workers. The blocks on disk are the manifest: nothing can disagree
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, NoSuccessError
+from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.facts import (
     GenerationFacts,
     count_outcomes,
@@ -34,7 +36,7 @@ from lerobot_demohlm.generation.block import RECORDS, block_directory, read_bloc
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.run_lock import RunLock
 
-_CODE, _GENERATOR = "code_hash", "generator_hash"
+_CODE, _GENERATOR, _TASK = "code_hash", "generator_hash", "task_hash"
 HOPELESS_ATTEMPTS = 512  # a run with a target of episodes gives up after so many attempts without a success
 _log = logging.getLogger(__name__)
 
@@ -42,6 +44,11 @@ _log = logging.getLogger(__name__)
 def partial_directory(root: Path) -> Path:
     """Return where a run keeps its blocks until it is finished."""
     return root.with_name(root.name + ".partial")
+
+
+def _remains(root: Path) -> Path:
+    """Return where a finished run's partial directory goes to be deleted: half of one is no run to go on with."""
+    return root.with_name(f".{root.name}.removed")
 
 
 def made_so_far(directory: Path) -> list[dict[str, Any]]:
@@ -89,6 +96,7 @@ class GenerationRun:
         """
         root = Path(root)
         directory = partial_directory(root)
+        shutil.rmtree(_remains(root), ignore_errors=True)  # of a run that was stopped while it did so
         _require_new_targets(root, facts)
         if resume and not (directory / "run.json").exists():
             raise DatasetError(f"{directory} without a run", "one to go on with", "leave --resume out to begin one")
@@ -233,8 +241,9 @@ class GenerationRun:
             for name, target in _targets(self.root, self.facts):
                 if (self._finished / name).exists():
                     (self._finished / name).rename(target)
+            self.directory.rename(_remains(self.root))
         self.close()
-        shutil.rmtree(self.directory, ignore_errors=True)
+        shutil.rmtree(_remains(self.root), ignore_errors=True)
         return read_facts(self.root)
 
     def _merge(self, progress: Callable[[int, int], None] | None) -> Path:
@@ -305,7 +314,9 @@ def _require_new_targets(root: Path, facts: GenerationFacts) -> None:
 
 def _begun_with(facts: GenerationFacts) -> dict[str, Any]:
     """Return what a run must have been begun with to be resumed: its facts, and the code that makes its blocks."""
-    return facts.content() | {_CODE: provenance.code_hash(), _GENERATOR: provenance.generator_hash()}
+    outside = provenance.task_hash(get_task(facts.task))
+    code = {_CODE: provenance.code_hash(), _GENERATOR: provenance.generator_hash()}
+    return facts.content() | code | ({_TASK: outside} if outside else {})
 
 
 def _require_same_facts(path: Path, facts: GenerationFacts) -> None:
@@ -320,10 +331,11 @@ def _require_same_facts(path: Path, facts: GenerationFacts) -> None:
         )
     now = json.loads(json.dumps(_begun_with(facts)))
     different = sorted(key for key in begun.keys() | now.keys() if begun.get(key) != now.get(key))
-    if different and set(different) <= {_CODE, _GENERATOR}:
+    if different and set(different) <= {_CODE, _GENERATOR, _TASK}:
+        what = f"the file of {facts.task}" if different == [_TASK] else "this package"
         raise DatasetError(
-            f"{path.parent}, begun by another version of this package",
-            f"this version, {now[_CODE][:8]} and {now[_GENERATOR][:8]}",
+            f"{path.parent}, begun by another version of {what}",
+            f"this version, {' and '.join(now[key][:8] for key in (_CODE, _GENERATOR, _TASK) if key in now)}",
             "resume it with that version, or remove it, or choose another --root",
         )
     if different:

@@ -22,6 +22,7 @@ from gym_demohlm.control import controllers
 from gym_demohlm.errors import DatasetError, DemoHLMError, UnknownNameError
 from gym_demohlm.registry import get_task
 from gym_demohlm.scene import build_scene
+from gym_demohlm.task import Task
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.cameras import PictureFacts
 from lerobot_demohlm.datasets.facts import GenerationFacts, installed_versions, perception_fit
@@ -110,6 +111,8 @@ def generate(request: GenerationRequest) -> GenerationSummary:
         made, elapsed = run.num_successes - found, time.monotonic() - began
         content = run.finish()
     except KeyboardInterrupt:
+        if not run.directory.exists():
+            raise KeyboardInterrupt(f"the dataset is whole, in {run.root}") from None
         kept = f"{run.num_attempts} attempts are kept in {run.directory}"
         raise KeyboardInterrupt(f"{kept}; the same command goes on from there") from None
     finally:
@@ -166,14 +169,18 @@ class BlockMaker:
         demonstration: The run's demonstration.
         task_module: Name of the module that registers the task.
         controller: Name, path or hash of the whole-body controller.
-        code: Hashes of the code that simulates and generates, where the run was begun or taken up.
+        code: Hashes of the code that simulates, judges and generates, where the run was begun or taken up.
     """
 
     facts: GenerationFacts
     demonstration: Demonstration
     task_module: str
     controller: str = controllers.DEFAULT
-    code: str = field(default_factory=lambda: _code())
+    code: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Note the code."""
+        object.__setattr__(self, "code", _code(get_task(self.facts.task)))
 
     def __call__(self, directory: Path, attempts: range) -> None:
         """Make attempts and write their block into a run's directory."""
@@ -212,7 +219,7 @@ class BlockMaker:
         _require_same(installed_versions(), facts.versions)
         importlib.import_module(self.task_module)
         task = get_task(facts.task)
-        here = _code(), controllers.load(self.controller).hash, perception_fit(task, facts.variation.content())
+        here = _code(task), controllers.load(self.controller).hash, perception_fit(task, facts.variation.content())
         begun = self.code, facts.controller_hash, facts.perception_fit
         names = "code", "controller", "fit of perception"
         _require_same(dict(zip(names, here, strict=True)), dict(zip(names, begun, strict=True)))
@@ -228,8 +235,8 @@ class BlockMaker:
         )
 
 
-def _code() -> str:
-    return f"{provenance.code_hash()} {provenance.generator_hash()}"
+def _code(task: Task) -> str:
+    return f"{provenance.simulation_hash(task)} {provenance.generator_hash()}"
 
 
 def _require_same(found: Mapping[str, str], expected: Mapping[str, str]) -> None:

@@ -264,10 +264,12 @@ class ControlProcess:
         target, lost = None, self._seen.pose > self._settings.ages.pose
         if pose is not None and not lost:
             self._search.note(pose.value["valid"])
-        if pose is not None and state is not None and not lost and pose.value["valid"][self._gaze]:
+        found = pose is not None and math.isfinite(pose.value["age_s"][self._gaze])
+        if pose is not None and state is not None and found and not lost:  # hidden: where it was, as in training
             seen = robot_observation.objects(pose.value, state.value, None if servos is None else servos.value)
             target = seen[self._gaze, :3, 3]
-        searches = (lost or self._search.goes_on) and self._seen.policy < np.inf  # who has no policy needs no object
+        missing = lost or not found or self._search.goes_on
+        searches = missing and self._seen.policy < np.inf  # who has no policy needs no object
         neck = self._neck.tick(None if searches else target, searches=searches)
         goals = records.record("servo_goals", neck=neck, grippers=now[command.GRIPPERS], enabled=True)
         self._slots["servo_goals"].write(goals)

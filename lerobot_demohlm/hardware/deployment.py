@@ -287,8 +287,9 @@ class Deployment:
             return
         settings = self.settings
         facts: dict[str, Any] = {
-            "task": get_task(settings.task).name, "interface": settings.interface, "pose_source": settings.pose_source,
-            **self._identity, "mode": self.mode.name if ended else None, "reason": self.reason if ended else "",
+            "task": get_task(settings.task).name, "region": settings.region, "interface": settings.interface,
+            "pose_source": settings.pose_source, **self._identity,
+            "mode": self.mode.name if ended else None, "reason": self.reason if ended else "",
         }  # fmt: skip
         partial = root / f"{FACTS}.partial"
         try:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.limits import Ages, Limits
 from lerobot_demohlm.hardware.link import DOMAIN, check_interface
@@ -24,7 +25,8 @@ class DeploymentSettings:
         device: Where the policy runs.
         weights: File of the whole-body controller; the packaged one by default.
         tags: For ``apriltag`` with a camera.
-        camera: LeRobot's camera as JSON of its configuration; a simulated robot's world without one.
+        camera: LeRobot's camera, see ``camera.read_camera``; a simulated robot's world without one.
+        region: Whose objects there are: those of R4 may have other shapes, and fronts.
         limits: Of commands and measurements.
         ages: Of the watchdogs.
     """
@@ -40,6 +42,7 @@ class DeploymentSettings:
     weights: Path | None = None
     tags: Path | None = None
     camera: str = ""
+    region: str = DEFAULT_REGION
     limits: Limits = field(default_factory=Limits)
     ages: Ages = field(default_factory=Ages)
 
@@ -47,8 +50,8 @@ class DeploymentSettings:
         """Check names.
 
         Raises:
-            UnknownNameError: There is no such task or pose source.
-            RobotError: There is no such interface, the record exists, or grippers have no port.
+            UnknownNameError: There is no such task, region or pose source.
+            RobotError: There is no such interface, the record exists, grippers have no port, or see ``PoseSettings``.
         """
         from lerobot_demohlm.hardware.pose_process import PoseSettings
 
@@ -61,6 +64,7 @@ class DeploymentSettings:
             interface=self.interface,
             tags=self.tags,
             camera=self.camera,
+            region=self.region,
         )  # checks
         if task.hands == "gripper" and self.servo_port is None:
             raise RobotError(f"{task.name} without grippers", "the serial port of the grippers", "give --servo-port")

@@ -3,6 +3,7 @@
 It acts in RUN only, and begins each run with an empty memory. What a policy gives that is no command is not passed on.
 """
 
+import json
 import signal
 import time
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import numpy as np
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
+from gym_demohlm.task import DEFAULT_REGION
 from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, act, load_policy, trained_task
 from lerobot_demohlm.hardware import records, robot_observation
@@ -30,19 +32,22 @@ class PolicySettings:
         task: Name of the task.
         folder: Of the slots.
         device: Where it runs.
+        region: Whose objects there are.
     """
 
     path: Path
     task: str
     folder: Path
     device: str = "cpu"
+    region: str = DEFAULT_REGION
 
 
-def check_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
+def check_policy(path: Path, task: str, device: str = "cpu", region: str = DEFAULT_REGION) -> LoadedPolicy:
     """Load a policy that can drive a robot.
 
     Raises:
-        PolicyError: As ``load_policy``, it looks at images, or it was trained for a task of other hands.
+        PolicyError: As ``load_policy``, it looks at images, or it was trained for a task of other hands, or, as far as
+            its dataset is still there to tell, with objects of other shapes than the region's.
     """
     loaded = load_policy(path, task, device)
     if loaded.needs_images:
@@ -53,7 +58,22 @@ def check_policy(path: Path, task: str, device: str = "cpu") -> LoadedPolicy:
             f"a policy for {get_task(trained_on).hands} hands ({trained_on})", f"one for {hands} hands ({task})",
             "mount those hands, or choose another --policy",
         )  # fmt: skip
+    trained_in = _trained_region(path)
+    if trained_in is not None and get_task(task).at(trained_in).form != get_task(task).at(region).form:
+        raise PolicyError(
+            f"a policy trained in {trained_in} of {task}, where objects have other shapes or fronts",
+            f"one for {region}",
+            f"deploy it with --region {trained_in}, or choose another --policy",
+        )
     return loaded
+
+
+def _trained_region(path: Path) -> str | None:
+    """Return the region of the dataset that a checkpoint was trained on; None where nothing tells it."""
+    config = path / "train_config.json"
+    root = (json.loads(config.read_text()).get("dataset") or {}).get("root") if config.is_file() else None
+    facts = Path(root) / "meta" / "demohlm.json" if root else None
+    return json.loads(facts.read_text()).get("region") if facts is not None and facts.is_file() else None
 
 
 class PolicyProcess:
@@ -70,7 +90,7 @@ class PolicyProcess:
         import torch
 
         torch.set_num_threads(1)
-        self._loaded = check_policy(settings.path, settings.task, settings.device)
+        self._loaded = check_policy(settings.path, settings.task, settings.device, settings.region)
         self._task = get_task(settings.task)
         self._slots = {name: records.slot(settings.folder, name) for name in records.RECORDS}
         self._stop, self._run_ns, self._episode, self._step = False, -1, 0, 0

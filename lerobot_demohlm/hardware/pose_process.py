@@ -14,12 +14,13 @@ import numpy as np
 
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.registry import get_task
-from gym_demohlm.task import Task
+from gym_demohlm.task import DEFAULT_REGION, Task
 from lerobot_demohlm.hardware import records
+from lerobot_demohlm.hardware.camera import HeadCamera, read_camera
+from lerobot_demohlm.hardware.camera_path import CameraPath
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import DOMAIN, Link
-from lerobot_demohlm.hardware.odometry import odometry_camera
-from lerobot_demohlm.hardware.pose_sources import Look, Source, WorldSource
+from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, Source, TagSource, WorldSource
 from lerobot_demohlm.hardware.records import Mode
 
 WITH_CAMERA = ("apriltag", "remote")
@@ -37,7 +38,8 @@ class PoseSettings:
         interface: Of the network.
         domain: Of DDS.
         tags: File that says which tag is where on which object, for ``apriltag`` with a camera.
-        camera: LeRobot's camera, as JSON of its configuration; a simulated robot's world without one.
+        camera: LeRobot's camera, see ``camera.read_camera``; a simulated robot's world without one.
+        region: Whose objects there are: those of R4 may have other shapes, and fronts.
     """
 
     source: str
@@ -47,14 +49,16 @@ class PoseSettings:
     domain: int = DOMAIN
     tags: Path | None = None
     camera: str = ""
+    region: str = DEFAULT_REGION
 
     def __post_init__(self) -> None:
         """Check source and what it needs.
 
         Raises:
-            UnknownNameError: There is no such source.
+            UnknownNameError: There is no such source, task or region.
             SceneError: An option of it is out of range.
-            RobotError: A source that cannot use a camera has one, or a file of tags and a camera do not come together.
+            RobotError: A source that cannot use a camera has one, a file of tags and a camera do not come together, a
+                camera does not say how it sees, or a simulated robot's world has other shapes than the region.
         """
         source = PerceptionSettings.read(self.source).source
         if self.camera and source not in WITH_CAMERA:
@@ -64,6 +68,14 @@ class PoseSettings:
                 "apriltag with a camera and without tags" if self.tags is None else "tags without apriltag and a camera"
             )
             raise RobotError(got, "both: drawn objects wear tags of their own", "give --tags with --camera, or neither")
+        form = get_task(self.task).at(self.region).form
+        if self.camera:
+            read_camera(self.camera)
+        elif form:
+            raise RobotError(
+                f"{self.region} of {self.task} without a camera: a simulated robot's world has the plain shapes",
+                "a real camera, or another region", "give --camera, or leave --region out",
+            )  # fmt: skip
 
 
 class PoseProcess:
@@ -77,8 +89,9 @@ class PoseProcess:
     """
 
     def __init__(self, settings: PoseSettings) -> None:
-        task = get_task(settings.task)
-        self._slots = {name: records.slot(settings.folder, name) for name in ("pose", "state", "servos", "control")}
+        task = get_task(settings.task).at(settings.region)
+        self._slots = {name: records.slot(settings.folder, name) for name in ("pose", "control")}
+        self._path = CameraPath(*(records.slot(settings.folder, name) for name in ("state", "servos")))
         self._stop, self._stood_ns = False, 0
         self._source = make_source(settings, task)
 
@@ -88,10 +101,11 @@ class PoseProcess:
             signal.signal(number, lambda *_: setattr(self, "_stop", True))
         due = time.monotonic()
         try:
-            while not self._stop:
-                self._look()
-                due = max(due + PERIOD_S, time.monotonic())
-                time.sleep(max(0.0, due - time.monotonic()))
+            with self._path:
+                while not self._stop:
+                    self._look()
+                    due = max(due + PERIOD_S, time.monotonic())
+                    time.sleep(max(0.0, due - time.monotonic()))
         finally:
             self._source.close()
 
@@ -102,15 +116,10 @@ class PoseProcess:
             if int(control.value["since_ns"]) != self._stood_ns:
                 self._source.forget()
             self._stood_ns = int(control.value["since_ns"])
-        began, camera = time.perf_counter(), self._camera()
-        look = None if camera is None else self._source(camera)
+        began = time.perf_counter()
+        look = self._source(self._path.at)
         if look is not None:
             self._slots["pose"].write(_record(look, time.perf_counter() - began), look.time_ns)
-
-    def _camera(self) -> np.ndarray | None:
-        """Return where the head camera is now (4, 4) in the frame "odometry"; None before the robot has told."""
-        state, servos = self._slots["state"].read(), self._slots["servos"].read()
-        return None if state is None else odometry_camera(state.value, None if servos is None else servos.value)
 
 
 def make_source(settings: PoseSettings, task: Task) -> Source:
@@ -118,9 +127,6 @@ def make_source(settings: PoseSettings, task: Task) -> Source:
     eyes = PerceptionSettings.read(settings.source)
     if not settings.camera:
         return WorldSource(task, eyes, Link(settings.interface, settings.domain))
-    from lerobot_demohlm.hardware.camera import HeadCamera
-    from lerobot_demohlm.hardware.pose_sources import ServerSource, TagSource
-
     camera = HeadCamera(settings.camera)
     if eyes.source == "remote":
         return ServerSource(task, eyes, camera)

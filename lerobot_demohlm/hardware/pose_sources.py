@@ -6,6 +6,7 @@ its tag finder and its pose client look at the pictures of a camera.
 
 import time
 import uuid
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,9 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from gym_demohlm import poses
-from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, T_OPTICAL_CAMERA, Intrinsics
+from gym_demohlm.perception.camera import Intrinsics
 from gym_demohlm.perception.equivalents import steady_equivalent
-from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.estimate import UNSEEN, PoseEstimate
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.simulation import Simulation
@@ -24,6 +25,9 @@ from gym_demohlm.timing import STEP_DT
 from lerobot_demohlm.hardware import world_topic
 from lerobot_demohlm.hardware.camera import HeadCamera
 from lerobot_demohlm.hardware.link import WORLD, Link
+
+Where = Callable[[int], np.ndarray | None]
+"""Tells ``T_odometry_camera`` (4, 4) at a time (``time.monotonic_ns``); None where that is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +56,11 @@ class Look:
 class Source(Protocol):
     """What looks at the objects."""
 
-    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
+    def __call__(self, where: Where) -> Look | None:
         """Return the newest look; None where there is no new one.
 
         Args:
-            T_odometry_camera: (4, 4), where the head camera is now.
+            where: Tells where the head camera was when the robot saw what is looked at.
         """
         ...
 
@@ -84,12 +88,12 @@ class WorldSource:
         self._reader = link.reader(WORLD)
         self._episode = -1
 
-    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
+    def __call__(self, where: Where) -> Look | None:
         """Return the newest look; None where no new world has come."""
-        content = self._reader.newest()
-        if content is None:
+        content, time_ns = self._reader.newest(), time.monotonic_ns()
+        T_odometry_camera = where(time_ns)
+        if content is None or T_odometry_camera is None:
             return None
-        time_ns = time.monotonic_ns()
         episode, _, physics, mocap = world_topic.unpack(content)
         world_topic.show(self._sim, physics, mocap)
         if episode != self._episode:
@@ -128,19 +132,20 @@ class _Seen:
         """Note where an object was seen."""
         self._T[index], self._at[index] = T_odometry_object, time_ns
 
-    def expected(self, index: int, T_odometry_camera: np.ndarray) -> np.ndarray | None:
-        """Return where an object should be in the camera's frame (4, 4); None before it was seen."""
-        return None if self._at[index] < 0 else poses.invert(T_odometry_camera) @ self._T[index]
+    def expected(self, index: int, T_odometry_optical: np.ndarray) -> np.ndarray | None:
+        """Return where an object should be in the frame ``optical`` (4, 4); None before it was seen."""
+        return None if self._at[index] < 0 else poses.invert(T_odometry_optical) @ self._T[index]
 
     def look(self, T_odometry_camera: np.ndarray, now_ns: int) -> Look | None:
-        """Return what is known, from where the camera was at that time; None before each object was seen once."""
-        if (self._at < 0).any():
-            return None
-        age_s = 1e-9 * (now_ns - self._at)[None]
+        """Return what is known, from where the camera was at that time; None before any object was seen."""
+        seen = self._at >= 0
+        age_s = np.where(seen, 1e-9 * (now_ns - self._at), np.inf)[None]
         valid = self._at[None] == now_ns
-        for index, entry in enumerate(self._objects):
-            self._told[index] = steady_equivalent(self._T[index], entry, T_odometry_camera, self._told[index])
-        T_camera_object = (poses.invert(T_odometry_camera) @ np.stack(self._told))[None]  # pyright: ignore
+        T_camera_odometry = poses.invert(T_odometry_camera)
+        T_camera_object = np.tile(poses.pose(UNSEEN), (1, len(self._objects), 1, 1))
+        for index in np.flatnonzero(seen):
+            told = steady_equivalent(self._T[index], self._objects[index], T_odometry_camera, self._told[index])
+            self._told[index], T_camera_object[0, index] = told, T_camera_odometry @ told
         estimate = PoseEstimate(T_camera_object=T_camera_object, valid=valid, age_s=age_s, inliers=valid.astype(float))
         return Look.of(estimate, T_odometry_camera, now_ns)
 
@@ -165,26 +170,26 @@ class TagSource:
         self._camera, self._finder, self._seen = camera, TagFinder(), _Seen(task)
         self._known: Intrinsics | None = None
 
-    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
-        """Return the newest look; None before each object was seen once, and where no picture comes."""
+    def __call__(self, where: Where) -> Look | None:
+        """Return the newest look; None before any object was seen, and where no picture comes."""
         import cv2
 
         from gym_demohlm.perception.camera import whole
         from gym_demohlm.perception.tags import object_pose
 
-        image = self._camera.color()
-        if image is None:
+        picture = self._camera.picture()
+        T_odometry_camera = None if picture is None else where(picture.time_ns)
+        if picture is None or T_odometry_camera is None:
             return None
-        now = time.monotonic_ns()
-        self._known = self._known or self._camera.intrinsics(image.shape)
-        corners = self._finder.corners(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), whole(self._known))
+        T_odometry_optical = T_odometry_camera @ self._camera.T_camera_optical
+        self._known = self._known or self._camera.intrinsics(picture.image.shape)
+        corners = self._finder.corners(cv2.cvtColor(picture.image, cv2.COLOR_RGB2GRAY), whole(self._known))
         for index, worn in enumerate(self._tags):
-            there = self._seen.expected(index, T_odometry_camera)
-            expected = None if there is None else T_OPTICAL_CAMERA @ there
+            expected = self._seen.expected(index, T_odometry_optical)
             found = object_pose(worn, corners, self._known, expected)
             if found is not None:
-                self._seen.add(index, T_odometry_camera @ T_CAMERA_OPTICAL @ found[0], now)
-        return self._seen.look(T_odometry_camera, now)
+                self._seen.add(index, T_odometry_optical @ found[0], picture.time_ns)
+        return self._seen.look(T_odometry_camera, picture.time_ns)
 
     def forget(self) -> None:
         """Forget where each object was seen."""
@@ -218,14 +223,15 @@ class ServerSource:
         self._asked_ns: int | None = None
         self._taken: dict[int, tuple[int, np.ndarray]] = {}  # when and from where the picture asked about was
 
-    def __call__(self, T_odometry_camera: np.ndarray) -> Look | None:
-        """Return the newest look; None before each object was seen once, and where neither picture nor answer comes."""
+    def __call__(self, where: Where) -> Look | None:
+        """Return the newest look; None before any object was seen, and where neither picture nor answer comes."""
         from gym_demohlm.perception.wire import Request
 
-        image = self._camera.color()
-        if image is None:
+        picture = self._camera.picture()
+        T_odometry_camera = None if picture is None else where(picture.time_ns)
+        if picture is None or T_odometry_camera is None:
             return None
-        now_ns, before_ns = time.monotonic_ns(), self._asked_ns
+        image, now_ns, before_ns = picture.image, picture.time_ns, self._asked_ns
         self._taken[self._frame], self._asked_ns = (now_ns, T_odometry_camera), now_ns
         told = self._client.look(
             Request(
@@ -234,7 +240,7 @@ class ServerSource:
                 task=self._task.name,
                 objects=tuple(entry.name for entry in self._task.objects),
                 K=self._camera.intrinsics(image.shape).matrix,
-                T_odom_optical=T_odometry_camera @ T_CAMERA_OPTICAL,
+                T_odom_optical=T_odometry_camera @ self._camera.T_camera_optical,
                 hands={},
                 color=image,
                 depth=np.zeros(image.shape[:2], np.float32),
@@ -251,7 +257,7 @@ class ServerSource:
         taken_ns, T_odometry_then = taken[told.request.frame]
         for index, answer in enumerate(told.answers):
             if answer.valid and told.request.session == self._session:
-                self._seen.add(index, T_odometry_then @ T_CAMERA_OPTICAL @ answer.T_optical_object, taken_ns)
+                self._seen.add(index, told.request.T_odom_optical @ answer.T_optical_object, taken_ns)
         return self._seen.look(T_odometry_then, taken_ns)
 
     def forget(self) -> None:

@@ -86,7 +86,13 @@ def _make_helper(name: str, settings: DeploymentSettings, folder: Path) -> Any: 
 
         assert settings.policy is not None  # else there is no such process
         return PolicyProcess(
-            PolicySettings(path=settings.policy, task=settings.task, folder=folder, device=settings.device)
+            PolicySettings(
+                path=settings.policy,
+                task=settings.task,
+                folder=folder,
+                device=settings.device,
+                region=settings.region,
+            )
         )
     if name == "pose":
         from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings
@@ -100,6 +106,7 @@ def _make_helper(name: str, settings: DeploymentSettings, folder: Path) -> Any: 
                 domain=settings.domain,
                 tags=settings.tags,
                 camera=settings.camera,
+                region=settings.region,
             )
         )
     if name == "servos":

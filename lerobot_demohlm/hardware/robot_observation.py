@@ -4,7 +4,7 @@ import numpy as np
 
 from gym_demohlm import poses
 from gym_demohlm.control import attitude, features
-from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.estimate import UNSEEN, PoseEstimate
 from gym_demohlm.robot import g1
 from lerobot_demohlm.hardware.odometry import odometry_camera
 
@@ -31,7 +31,8 @@ def agent_pos(state: np.void, servos: np.void | None) -> np.ndarray:
 def objects(pose: np.void, state: np.void, servos: np.void | None) -> np.ndarray:
     """Return where objects are from the head camera as it is now, (MAX_OBJECTS, 4, 4).
 
-    A look at them is some ten milliseconds old, and the head has moved since: odometry tells how.
+    A look at them is some ten milliseconds old, and the head has moved since: odometry tells how. What was never seen
+    is where the environment has it then (``UNSEEN``).
 
     Args:
         pose: A record "pose".
@@ -39,7 +40,8 @@ def objects(pose: np.void, state: np.void, servos: np.void | None) -> np.ndarray
         servos: A record "servos"; a neck at zero without one.
     """
     T_camera_then = poses.invert(odometry_camera(state, servos)) @ pose["T_odometry_camera"]
-    return T_camera_then @ pose["T_camera_object"]
+    known = np.isfinite(pose["age_s"])[:, None, None]
+    return np.where(known, T_camera_then @ pose["T_camera_object"], poses.pose(UNSEEN))
 
 
 def environment_state(pose: np.void, state: np.void, servos: np.void | None, count: int) -> np.ndarray:

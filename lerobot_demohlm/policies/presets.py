@@ -260,7 +260,9 @@ def policy_config(preset: Preset, steps: int, device: str = "cpu") -> "PreTraine
         options["normalization_mapping"] = {key: NormalizationMode[mode] for key, mode in modes}
     if preset.cosine and preset.type != "act":  # ACT's configuration knows no schedule
         options["scheduler_warmup_steps"] = warmup_steps(steps)
-    return make_policy_config(preset.type, device=device, push_to_hub=False, **options)
+    config = make_policy_config(preset.type, device=device, push_to_hub=False, **options)
+    config.device = device  # LeRobot names another one where this machine has none such; the training may be elsewhere
+    return config
 
 
 def has_bfloat16() -> bool:

@@ -62,9 +62,10 @@ def train(
         DatasetError: The root exists, the dataset lacks a column, or the dataset has fewer episodes.
     """
     require_new_root(root, "--output")
+    _require_makeable(root)
     require_device(device)
     config = train_config(
-        dataset_root,
+        dataset_root.resolve(),  # from a checkpoint it is looked at again, wherever one stands then
         root,
         policy,
         preset,
@@ -78,6 +79,17 @@ def train(
     require_episodes(dataset_root, num_episodes)
     run(config, num_threads)
     return checkpoint(root)
+
+
+def _require_makeable(root: Path) -> None:
+    """Raise ``DatasetError`` where a directory cannot be made: a training writes at its end."""
+    try:
+        root.mkdir(parents=True)
+        root.rmdir()
+    except OSError as error:
+        raise DatasetError(
+            f"{root} ({error.strerror})", "a path that can be made", "choose another --output"
+        ) from error
 
 
 def require_episodes(dataset_root: Path, num_episodes: int | None) -> None:

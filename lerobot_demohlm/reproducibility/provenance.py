@@ -3,7 +3,9 @@
 import functools
 import hashlib
 import importlib.metadata
+import inspect
 import platform
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -12,6 +14,8 @@ import numpy as np
 
 import gym_demohlm
 from gym_demohlm.control import controllers
+from gym_demohlm.errors import DatasetError
+from gym_demohlm.task import Task
 
 LIBRARIES = ("mujoco", "numpy", "numba", "placo", "eigenpy")
 """Packages whose version decides bits. The C library and the kind of processor do so too."""
@@ -38,6 +42,46 @@ def code_hash() -> str:
     root, digest = Path(gym_demohlm.__file__).parent, hashlib.sha256()
     _add(digest, root, (path for path in root.rglob("*.py") if "wbc" not in path.relative_to(root).parts[:1]))
     return digest.hexdigest()
+
+
+def task_hash(task: Task) -> str:
+    """Return the SHA-256 of the files that hold a task's functions, empty where they are those of ``gym_demohlm``.
+
+    A process reads each file once: it goes on to judge by that one when the file is edited.
+
+    Raises:
+        DatasetError: There is no such file, as of a task that was typed in.
+    """
+    memory = () if task.memory is None else (task.memory.update, task.memory.draw)
+    wide = () if task.wide_form is None else (task.wide_form.build,)
+    functions = (task.build, task.success, *task.failures.values(), *memory, *wide)
+    modules = {function.__module__ for function in functions}
+    files = {_source_hash(module) for module in modules if module.partition(".")[0] != gym_demohlm.__name__}
+    return hashlib.sha256(" ".join(sorted(files)).encode()).hexdigest() if files else ""
+
+
+@functools.cache
+def _source_hash(module: str) -> str:
+    """Return the SHA-256 of the file of a module that was imported."""
+    try:
+        text = inspect.getsource(sys.modules[module])
+    except (OSError, TypeError, KeyError) as error:
+        raise DatasetError(
+            f"a task with a function in {module!r}, which has no file",
+            "functions in files, so that a run is resumed with the same ones",
+            "write the task into a file, and import it",
+        ) from error
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def simulation_hash(task: Task) -> str:
+    """Return the SHA-256 of the code that simulates and judges a task: ``code_hash``, unless it has other files too.
+
+    Raises:
+        DatasetError: See ``task_hash``.
+    """
+    outside = task_hash(task)
+    return hashlib.sha256(f"{code_hash()} {outside}".encode()).hexdigest() if outside else code_hash()
 
 
 @functools.cache

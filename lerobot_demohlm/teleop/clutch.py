@@ -2,8 +2,10 @@
 
 A person's room and the robot's world have nothing in common but the vertical. So a device's pose never counts by
 itself: at the moment a hand is engaged, the device is where it is and the palm's target is where it is, and from then
-on the target makes the device's motion, turned from the operator's heading to the robot's. A hand that is let go
-holds. Engaging again, or tracking that comes back, begins anew from the target as it stands: nothing jumps.
+on the target makes the device's motion, turned from the operator's heading to the robot's. Where a headset draws the
+robot in the operator's room, that heading is the drawn robot's; elsewhere it is the one in which the operator looks. A
+hand that is let go holds. Engaging again, or tracking that comes back, begins anew from the target as it stands:
+nothing jumps.
 
 Poses of devices have x forward, y left, z up; only differences of them are used.
 """
@@ -59,6 +61,8 @@ class Controls:
         right: The right hand.
         head: (4, 4) pose of the head in the operator's room; None where the device has none.
         lean: Whether the head's motion moves the robot's head, and the torso with it; its heading counts anyway.
+        heading: What counts as the robot's forward in the operator's room [rad], from x to y, as where the robot is
+            drawn in a headset; None: the head's heading, or 0 without a head.
         walk: (3,) forward, left, turn left, each in [-1, 1].
         lift: -1 squats, 1 rises, 0 stays.
         age_s: How long ago this was heard of [s].
@@ -69,6 +73,7 @@ class Controls:
     right: HandControls = field(default_factory=HandControls)
     head: np.ndarray | None = None
     lean: bool = True
+    heading: float | None = None
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
     lift: float = 0.0
     age_s: float = 0.0
@@ -248,7 +253,7 @@ class Clutch:
         base = poses.planar(*poses.to_planar(view.T_world_pelvis))
         self._carry(base, walking=bool(velocity.any()))
         robot_yaw = float(poses.yaw(base))
-        operator_yaw = 0.0 if controls.head is None else _heading(controls.head)
+        operator_yaw = _operator_yaw(controls)
         for index, (hand, clutch) in enumerate(zip(controls.hands, self._hands, strict=True)):
             self._led[index] = present and hand.engaged and bool(hand.rate.any())
             if not present:
@@ -325,6 +330,13 @@ class Clutch:
             return
         target = view.T_world_head if self._head_target is None else self._head_target
         self._head_target = self._head.follow(target, controls.head, operator_yaw, robot_yaw).copy()
+
+
+def _operator_yaw(controls: Controls) -> float:
+    """Return what counts as forward in the operator's room [rad]."""
+    if controls.heading is not None:
+        return controls.heading
+    return 0.0 if controls.head is None else _heading(controls.head)
 
 
 def _heading(T: np.ndarray) -> float:

@@ -6,6 +6,7 @@ demonstration holds follows from these bit for bit. A record that was only half 
 handed to the system at once, which keeps it when the process is killed; waiting for the disk would hold up the world.
 """
 
+import contextlib
 import itertools
 import json
 import shutil
@@ -69,7 +70,11 @@ class Journal:
         self._file = (self.directory / "rows.bin").open("wb")
 
     def append(self, action: np.ndarray, hand_targets: np.ndarray, head_target: np.ndarray | None) -> None:
-        """Add a row: action (23,), targets (2, 7) of the palms, and (4, 4) of the head or None."""
+        """Add a row: action (23,), targets (2, 7) of the palms, and (4, 4) of the head or None.
+
+        Raises:
+            OSError: It cannot be written now; it is written before the next row.
+        """
         if self._file is None:
             return
         row = np.zeros((), dtype=_ROW)
@@ -85,9 +90,10 @@ class Journal:
             self._file.seek(rows * _ROW.itemsize)
 
     def close(self) -> None:
-        """Close the file; the journal stays on disk."""
+        """Close the file; the journal stays on disk, with all that could be written."""
         if self._file is not None:
-            self._file.close()
+            with contextlib.suppress(OSError):  # a full disk was told of before
+                self._file.close()
             self._file = None
 
     def remove(self) -> None:

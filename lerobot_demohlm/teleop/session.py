@@ -204,7 +204,11 @@ class RecordingSession:
             return
         row = self.recorder.rows[-1]
         row["squat"] = self.clutch.squat
-        self.journal.append(row["action"], row["hand_targets"], row["head_target"])
+        try:
+            self.journal.append(row["action"], row["hand_targets"], row["head_target"])
+        except OSError as error:
+            self.message = f"{self.journal.directory}: {error.strerror or error}; make room, then take hold to go on"
+            self._wait()
         if len(self.recorder) % SEGMENTS_EVERY == 0:
             self._segments = self._cut()
         if result.unstable[0] or self.sim.fallen()[0]:
@@ -246,14 +250,12 @@ class RecordingSession:
     # Transitions
 
     def _begin(self) -> None:
-        if self.found is not None:
-            _log.warning("the unfinished recording of %d steps is dropped", len(self.found.actions))
-            self.found = None
+        kept = self._keep_unfinished()
         facts = {**self._replayed_by, "start": self.start, "operator": self.settings.operator}
         self.journal.begin(self.sim.snapshot(), self.recorder.last, facts)
         self.recorder.begin()
         self._before = self._asked, self.clutch.squat
-        self._segments, self.state, self.message = [], RECORDING, "recording"
+        self._segments, self.state, self.message = [], RECORDING, f"recording{kept}"
 
     def _stop(self) -> None:
         self.state, self._waiting = REVIEW, False
@@ -285,12 +287,12 @@ class RecordingSession:
     def _discard(self) -> None:
         self._end_trial()
         self._review, self._segments, self._waiting, self._held = None, [], False, 0
+        kept = self._keep_unfinished()
         self.journal.remove()
-        self.found = None
         self.sim.restore(self._fresh)
         self.recorder.restart()
         self.clutch.reset()
-        self._asked, self._before, self.state, self.message = None, (None, 0.0), IDLE, "discarded"
+        self._asked, self._before, self.state, self.message = None, (None, 0.0), IDLE, f"discarded{kept}"
 
     def _save(self) -> None:
         review = self._review
@@ -350,6 +352,15 @@ class RecordingSession:
             _log.warning("%s: %s is kept as %s", self.journal.directory, what, self.journal.set_aside())
             return None
         return found
+
+    def _keep_unfinished(self) -> str:
+        """Set an unfinished recording aside that was not taken up; returns what to say of it."""
+        if self.found is None:
+            return ""
+        self.found = None
+        kept = self.journal.set_aside()
+        _log.warning("the unfinished recording is kept as %s; to take it up, name it %s", kept, self.journal.directory)
+        return f"; the unfinished recording is kept as {kept.name}"
 
     @property
     def _replayed_by(self) -> dict[str, str]:

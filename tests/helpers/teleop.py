@@ -199,7 +199,7 @@ class HeadsetHands:
             self._engaged_targets = np.stack(
                 [poses.pose(np.array(p[:3]), np.array(p[3:])) for p in (status["poses"][f"{s}_target"] for s in SIDES)]
             )
-            self._turn = poses.heading(view_of(status).T_world_pelvis)[:3, :3]
+            self._turn = poses.planar(0.0, 0.0, self._page.evaluate("demohlm.scene.home[2]"))[:3, :3]
 
     def set(self, side: str, **buttons: float) -> None:
         """Press trigger or squeeze of a controller."""

@@ -21,6 +21,7 @@ from lerobot_demohlm.teleop.status import Status
 VERSION = 1
 MAX_MESSAGE = 16_384  # bytes
 MAX_COORDINATE = 100.0  # m
+MAX_HEADING = 4.0 * math.pi  # rad
 BUTTONS = ("record", "rewind", "save", "discard", "recover")
 DEVICES = ("headset", "hands", "phone", "gamepad", "keyboard", "script", "other")
 _R_robot_room = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -108,7 +109,7 @@ def _input(content: dict[str, Any]) -> Input:
     hands = content.get("hands", {})
     if not isinstance(hands, dict) or not set(hands) <= {"left", "right"}:
         raise _refused("hands that are not left and right")
-    head = content.get("head")
+    head, heading = content.get("head"), content.get("heading")
     sequence = content.get("seq", 0)
     if type(sequence) is not int or not 0 <= sequence < 2**53:
         raise _refused("a seq that is no whole number")
@@ -118,6 +119,7 @@ def _input(content: dict[str, Any]) -> Input:
             right=_hand(hands.get("right", {})),
             head=None if head is None else _pose("head", head),
             lean=_flag("lean", content.get("lean", True)),
+            heading=None if heading is None else _number("heading", heading, MAX_HEADING),
             walk=_numbers("walk", content.get("walk", [0, 0, 0]), 3, 1.0),
             lift=_number("lift", content.get("lift", 0), 1.0),
         ),

@@ -47,6 +47,10 @@ MAX_CLIENTS = 16
 PAUSED_S = 0.05  # between looks at the buttons while the world stands still
 GOODBYE_S = 1.0  # for the browsers to hear that the demonstration is saved
 MAX_REFUSED = 200  # messages of one browser, after which it is cut off
+NO_TOKEN = (
+    "This address needs a token that is valid; an operator's admits one browser.\n"
+    "Press 'Another device' on an operator's page for one more, or start the command again.\n"
+)
 _POLICY = "default-src 'self'; connect-src 'self'; img-src 'self' data:; style-src 'self'; frame-ancestors 'none'"
 
 _log = logging.getLogger(__name__)
@@ -268,10 +272,13 @@ class TeleopServer:
         self._loop = asyncio.get_running_loop()
         self._finished = asyncio.Event()
         application = web.Application(client_max_size=protocol.MAX_MESSAGE)
-        application.router.add_get("/ws", self._socket)
-        application.router.add_get("/scene.json", self._scene_json)
-        application.router.add_get("/scene.bin", self._scene_bin)
-        application.router.add_get("/{name:[a-z.]*}", self._file)
+        for path, answer in (
+            ("/ws", self._socket),
+            ("/scene.json", self._scene_json),
+            ("/scene.bin", self._scene_bin),
+            ("/{name:[a-z.]*}", self._file),
+        ):
+            application.router.add_get(path, answer, allow_head=False)  # who only looks must not use up a token
         runner = web.AppRunner(application, access_log=None, shutdown_timeout=1.0)
         await runner.setup()
         context, fingerprint = (None, None) if self.host in LOCAL else make_context(_addresses(self.host))
@@ -324,7 +331,7 @@ class TeleopServer:
         role, cookie = self._admit(request)
         if role is None:
             _log.warning("refused %s from %s: no valid token", request.path, request.remote)
-            return web.Response(status=403, text="This address needs a token that is valid and has not been used.\n")
+            return web.Response(status=403, text=NO_TOKEN)
         response = make()
         response.headers["Content-Security-Policy"] = _POLICY
         response.headers["Cache-Control"] = "no-store"

@@ -11,11 +11,12 @@ from gym_demohlm import poses
 from gym_demohlm.errors import SceneError
 from gym_demohlm.perception.error_fit import ErrorTrack, fit_model, pose_errors
 from gym_demohlm.perception.error_model import Channel, ErrorModel, fitted_path, read_model
-from gym_demohlm.perception.model import ModelPerceiver, ray_frame
+from gym_demohlm.perception.model import ModelPerceiver, _odds_after, ray_frame
 from gym_demohlm.perception.perceiver import make_perceiver
 from gym_demohlm.registry import all_tasks, get_task
 from gym_demohlm.simulation import Simulation
 from gym_demohlm.task import Task
+from tests.helpers.clocks import set_time
 
 TASK = get_task("GraspCube")
 
@@ -156,6 +157,38 @@ def test_what_is_lost_is_held_and_not_valid() -> None:
     told, _, valid = _watched(replace(model, objects=(always,)), 0)
     assert not valid.any()
     np.testing.assert_allclose(told[:, 0], np.broadcast_to([1.0, 0.0, 0.0], told[:, 0].shape), atol=0.05)  # never seen
+
+
+@pytest.mark.parametrize(("lost", "found"), [(0.1, 0.6), (0.3, 0.7), (0.0, 0.2), (0.0, 0.0), (0.02, 0.05)])
+def test_odds_of_several_looks_are_those_of_the_time_they_take(lost: float, found: float) -> None:
+    def chain(steps: float) -> np.ndarray:
+        p, q = _odds_after(np.array([lost]), np.array([found]), np.array([steps]))
+        return np.array([[1.0 - p[0], p[0]], [q[0], 1.0 - q[0]]])
+
+    np.testing.assert_array_equal(chain(1.0), [[1.0 - lost, lost], [found, 1.0 - found]])
+    np.testing.assert_allclose(np.linalg.matrix_power(chain(0.4), 5), np.linalg.matrix_power(chain(1.0), 2), atol=1e-12)
+    np.testing.assert_allclose(chain(0.0), np.eye(2), atol=1e-12)
+
+
+def test_errors_change_and_grow_old_with_time_and_not_with_looks() -> None:
+    model, rows = read_model(fitted_path(TASK), TASK), np.arange(48)
+    (entry,) = model.objects
+    never = replace(entry, lost_when_seen=1.0, lost_when_hidden=1.0, found_when_seen=0.0, found_when_hidden=0.0)
+    slow = replace(never, shift=replace(entry.shift, correlation=0.9), turn=replace(entry.turn, correlation=0.9))
+    sim = Simulation(TASK, len(rows))
+    perceiver = ModelPerceiver(TASK, len(rows), model=replace(model, objects=(slow,)))
+    perceiver.begin(rows, rows.tolist())
+    first = perceiver.observe(sim, rows)
+    perceiver._age[:] = 0.0  # as if it had been seen now
+    begun = perceiver._noise.copy()
+    for index in range(1, 11):
+        set_time(sim, 0.04 * index)
+        last = perceiver.observe(sim, rows)
+    sim.close()
+    assert not first.valid.any() and not last.valid.any()
+    np.testing.assert_allclose(last.age_s, 0.4, atol=1e-9)
+    kept = np.corrcoef(begun.ravel(), perceiver._noise.ravel())[0, 1]
+    assert kept == pytest.approx(0.9**4, abs=0.15)  # of ten looks as of ten steps it would be 0.35
 
 
 def test_the_first_sight_has_odds_of_its_own() -> None:

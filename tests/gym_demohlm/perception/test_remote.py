@@ -184,7 +184,8 @@ def test_the_server_is_told_of_the_shapes_that_objects_have_in_r4() -> None:
         (true,) = known_meshes(env.get_wrapper_attr("sim").scene)
         env.close()
     backend, request = TrackerBackend(), asked[0]
-    (plain,), (wide,) = (backend._known(replace(request, region=region)) for region in ("", request.region))
+    forms = [backend._form(replace(request, region=region)) for region in ("", request.region)]
+    plain, wide = (form.meshes["box"] for form in forms)
     np.testing.assert_array_equal(wide.vertices, true.vertices)
     assert np.ptp(wide.vertices, axis=0).tolist() != np.ptp(plain.vertices, axis=0).tolist()
     with pytest.raises(UnknownNameError, match="R1, R2, R3, R4"):

@@ -15,7 +15,8 @@ def test_names() -> None:
     assert get_variation("none") is NONE and not NONE
     assert get_variation("real").groups == GROUPS
     assert get_variation("real:pushes+objects").groups == ("objects", "pushes")
-    assert get_variation("hard@0") is NONE
+    for name in ("hard@0", "real@0.0:pushes+objects", "none@2", "none:objects"):
+        assert get_variation(name) is NONE
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
 """Whatever happens to a run, nothing finished is lost, nothing is there twice, and one message says what to do."""
 
 import contextlib
+import functools
 import importlib
+import itertools
 import os
 import random
 import shutil
@@ -121,7 +123,7 @@ def test_a_block_that_is_damaged_during_the_run_is_never_merged(tmp_path: Path, 
     assert not root.exists()
 
 
-@pytest.mark.parametrize("step", range(4))
+@pytest.mark.parametrize("step", range(3))
 def test_a_run_that_is_killed_while_it_hands_over_goes_on(
     step: int,
     tmp_path: Path,
@@ -130,35 +132,72 @@ def test_a_run_that_is_killed_while_it_hands_over_goes_on(
     faults: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """At each of the renames that end a run, and before what remains is removed."""
+    """At each of the renames that end a run."""
     root = tmp_path / "data"
     shutil.copytree(begun, partial_directory(root))
     run = opened(root)
-    rename, rmtree, left = Path.rename, shutil.rmtree, [step]
-
-    def count() -> None:
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
+    rename, stop = Path.rename, ("finished", "data-failures", "data")[step]
 
     def rename_or_stop(path: Path, target: Path) -> Path:
-        if target.name in ("finished", "data", "data-failures"):
-            count()
+        if target.name == stop:
+            raise KeyboardInterrupt
         return rename(path, target)
-
-    def remove_or_stop(path: Path, **options: bool) -> None:
-        if path == run.directory:
-            count()
-        rmtree(path, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", rename_or_stop)
-        patch.setattr(shutil, "rmtree", remove_or_stop)
         with pytest.raises(KeyboardInterrupt):
             run.finish()
     run.close()
-    assert root.exists() == (step == 3)
+    assert not root.exists()
     assert ended(root, faults) == reference
+
+
+@pytest.fixture(scope="module")
+def merged(begun: Path) -> Path:
+    """Return a run whose datasets are merged; one of its blocks will do, to be removed."""
+    root = begun.with_name("merging")
+    shutil.copytree(begun, partial_directory(root))
+    run = opened(root)
+    run._merge(None).rename(run._finished)
+    run.close()
+    for block in sorted((run.directory / "blocks").iterdir())[1:]:
+        shutil.rmtree(block)
+    return run.directory
+
+
+def test_a_run_that_is_killed_while_it_tidies_up_goes_on_or_is_over(
+    tmp_path: Path, merged: Path, reference: dict[str, str], faults: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before each rename and each removal: no call but the same one goes on, and nothing but the datasets stays."""
+    calls = {name: getattr(os, name) for name in ("rename", "unlink", "rmdir")}
+    resumed = []
+    for step in itertools.count():
+        root, left = tmp_path / str(step) / "data", iter(range(step))
+        shutil.copytree(merged, partial_directory(root))
+        run = opened(root)
+
+        def call_or_stop(name: str, *args: Any, left: Iterator[int] = left, **options: Any) -> None:
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            calls[name](*args, **options)
+
+        with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+            for name in calls:
+                patch.setattr(os, name, functools.partial(call_or_stop, name))
+            run.finish()
+        run.close()
+        with pytest.raises(DatasetError, match=r"which exists|begun with num_attempts=10"):
+            GenerationRun.open(root, "user/name", make_facts(keep_failures=True, num_attempts=20))
+        if partial_directory(root).exists():
+            opened(root).finish()
+            resumed.append(step)
+        with pytest.raises(DatasetError, match="which exists"):
+            opened(root)
+        assert [place.name for place in sorted(root.parent.iterdir())] == ["data", "data-failures"]
+        assert [faults.digest(place) for place in (root, failures_root(root))] == list(reference.values())
+        if next(left, None) is not None:
+            break  # it was not stopped
+    assert resumed == [0, 1, 2] and step > 20
 
 
 def test_two_runs_on_one_root(tmp_path: Path) -> None:
@@ -221,6 +260,20 @@ def test_ctrl_c_says_what_is_kept(
     kept = f"{request.BLOCK_SIZE} attempts are kept in {tmp_path / 'data.partial'}"
     assert last.startswith(f"interrupted: {kept}; the same command")
     assert len(list((tmp_path / "data.partial" / "blocks").iterdir())) == 1
+
+
+def test_ctrl_c_during_the_tidying_up_says_where_the_dataset_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(run: GenerationRun) -> None:
+        run.directory.rename(run.root)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "make_blocks", lambda *_: None)
+    monkeypatch.setattr(GenerationRun, "finish", interrupted)
+    command = ["generate", "--task", "LiftBox", "--num-attempts", "1", "--root", str(tmp_path / "data")]
+    assert cli.main(command) == cli.INTERRUPTED
+    assert f"interrupted: the dataset is whole, in {tmp_path / 'data'}" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_the_bar_does_not_mind_the_clock(

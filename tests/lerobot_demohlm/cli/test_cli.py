@@ -28,6 +28,7 @@ from lerobot_demohlm.cli.verbs import GROUPS, VERBS, Verb
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 
 SURFACE = Path(__file__).with_name("surface.tsv")
+RESULTS = Path(__file__).parents[3] / "results"
 """Flags and defaults of version 0.1, before tyro, which scripts of users rely on."""
 HEAVY = ("torch", "lerobot", "datasets", "pyarrow", "matplotlib", "jinja2", "rsl_rl", "placo")
 GENERATE = ["generate", "--task", "LiftBox", "--region", "R1", "--num-attempts", "1"]
@@ -358,6 +359,9 @@ def test_wrong_input_is_one_line_and_writes_nothing(
         ("tune-controller --output new.npz --gait recovery_s=-4", "correct --gait"),
         ("reproduce --table regions --sizes 7 --dry-run", "leave --sizes out"),
         ("evaluate --policy new --task LiftBox --perception exact --latency-s 0.05", "a multiple of 0.1 s"),
+        ("evaluate --policy new --task LiftBox --seed 99999999999999999999", "seeds from 0 to 9223372036854775807"),
+        (f"results --results {RESULTS} --pages missing.md", "no file missing.md"),
+        (f"results --results {RESULTS} --output {RESULTS}/speed.jsonl/new.md", "speed.jsonl"),
     ],
 )
 def test_wrong_values_are_one_line_and_write_nothing(

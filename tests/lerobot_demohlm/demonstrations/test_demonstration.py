@@ -194,6 +194,13 @@ def test_damaged_files_are_noticed(copied: Path) -> None:
         demonstrations.load(copied, TASK)
 
 
+@pytest.mark.parametrize("text", ["", '{"segments": [{"hand": "left" "kind": "object"}]}'])
+def test_corrections_that_are_no_json_are_named_and_the_recording_is_not_blamed(copied: Path, text: str) -> None:
+    (copied / demonstrations.CORRECTIONS_PATH).write_text(text)
+    with pytest.raises(DemonstrationError, match=r"segments\.json, no JSON .* mend that file, or remove it"):
+        demonstrations.load(copied, TASK)
+
+
 def test_truncated_data_are_noticed(copied: Path) -> None:
     data = next((copied / "data").rglob("*.parquet"))
     data.write_bytes(data.read_bytes()[:-100])

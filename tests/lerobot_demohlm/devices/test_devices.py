@@ -17,10 +17,10 @@ import lerobot_env_demohlm  # noqa: F401  registers the devices, as LeRobot does
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import UnknownNameError
-from lerobot_demohlm.devices import DemoHLMG1Config, DemoHLMScriptConfig, DemoHLMWebConfig, live
+from lerobot_demohlm.devices import DemoHLMG1Config, DemoHLMScriptConfig, DemoHLMWebConfig, live, operators
 from lerobot_demohlm.devices.config_g1 import DeviceError
 from lerobot_demohlm.devices.g1 import DemoHLMG1
-from lerobot_demohlm.devices.operators import DemoHLMWeb
+from lerobot_demohlm.devices.operators import EPISODE_OVER_S, DemoHLMWeb
 from lerobot_demohlm.teleop.session import SessionError
 from tests.helpers.teleop import wait_for
 
@@ -153,4 +153,21 @@ def test_the_page_does_not_begin_anew_within_an_episode(robot: DemoHLMG1, tmp_pa
     assert world.seen.episode == begun.episode + 1
     page.press("discard")
     assert world.seen.episode == begun.episode + 2
+    dataset.add_frame({"action": np.zeros(1, dtype=np.float32), "task": "lift"})
+    world.framed_s -= EPISODE_OVER_S  # the episode is over, and LeRobot waits before it stores it
+    page.press("discard")
+    assert world.seen.episode == begun.episode + 3
+    operator.disconnect()
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_the_page_says_where_lerobots_keys_are(
+    robot: DemoHLMG1, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, heard: bool
+) -> None:
+    monkeypatch.setattr(operators, "pynput_can_capture", lambda: heard)
+    operator = DemoHLMWeb(DemoHLMWebConfig(port=0, calibration_dir=tmp_path))
+    operator.connect()
+    operator.get_action()
+    assert operator._stage is not None
+    assert ("hears the keys of this page" if heard else "at the terminal") in operator._stage.status().message
     operator.disconnect()

@@ -1,6 +1,7 @@
 """Rollouts: seeded, in order, the same alone and in a batch; records, intervals, and what a checkpoint must be."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, resumed
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, load_policy, policy_hash
 from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.rollouts import Setting
+from tests.helpers import outside
 from tests.helpers.checkpoints import save_policy
 
 BRIEF = replace(get_task("LiftBox"), name="LiftBoxHalfSecond", episode_length_s=0.5)
@@ -141,6 +143,22 @@ def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Pat
         load_policy(unknown, TASK)
 
 
+@pytest.mark.parametrize(
+    "damage", ["model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json", "train_config.json"]
+)
+def test_a_damaged_checkpoint_is_said_to_be(damage: str, checkpoint: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(checkpoint, copy)
+    whole = (copy / damage).read_bytes() if (copy / damage).exists() else b"{}"
+    (copy / damage).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(PolicyError, match=r"damaged|no JSON"):
+        load_policy(copy, TASK)
+    if damage.startswith("policy_"):
+        (copy / damage).unlink()
+        with pytest.raises(PolicyError, match="damaged"):
+            load_policy(copy, TASK)
+
+
 def test_a_policy_of_another_tasks_dataset_is_refused(tmp_path: Path) -> None:
     policy, facts = save_policy(tmp_path / "policy"), tmp_path / "data" / "meta" / "demohlm.json"
     facts.parent.mkdir(parents=True)
@@ -258,6 +276,54 @@ def test_a_killed_evaluation_goes_on(restless: Path, tmp_path: Path) -> None:
     torn.write_bytes(lines[0])
     with pytest.raises(DatasetError, match="choose another --output"):
         evaluate(loaded, Setting(task=TASK, region="R2"), [3], torn)
+
+
+def test_an_edited_task_from_outside_does_not_go_on_with_its_old_rollouts(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    loaded, output = load_policy(checkpoint, TASK), tmp_path / "rollouts.jsonl"
+
+    def found(after_s: float) -> list[Rollout]:
+        setting = Setting(task=outside.bring_task(tmp_path, after_s).name, region="R1")
+        return evaluate(loaded, setting, [3], output)
+
+    first = found(0.2)
+    assert first[0].success_ever
+    with pytest.raises(DatasetError, match="with rollouts of code="):
+        found(9.0)
+    assert found(0.2) == first
+
+
+@pytest.mark.parametrize("name", ["real@0", "none@1", "hard@0:pushes"])
+def test_what_varies_nothing_is_the_plain_world_and_goes_on(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    from lerobot_demohlm.evaluation.env_config import DemoHLMEnvConfig
+
+    plain, same = (Setting(task=TASK, region="R1", variation=variation) for variation in ("none", name))
+    assert same == plain
+    assert DemoHLMEnvConfig(task=TASK, variation=name).gym_kwargs["variation"] == "none"
+    loaded, output = load_policy(checkpoint, TASK), tmp_path / "rollouts.jsonl"
+    first = evaluate(loaded, same, [3], output)
+    assert evaluate(loaded, Setting(task=TASK, region="R1", variation=name), [3], output) == first
+    assert evaluate(loaded, plain, [3], output) == first
+
+
+@pytest.mark.parametrize("use_async", [False, True])
+def test_lerobots_environments_draw_pictures_of_the_size_that_a_policy_needs(use_async: bool) -> None:
+    from lerobot_demohlm.evaluation.env_config import DemoHLMEnvConfig
+
+    config = DemoHLMEnvConfig(task="LiftBox", obs_type="pixels_agent_pos", image_width=48, image_height=36)
+    assert config.features["pixels/head"].shape == (36, 48, 3)
+    (envs,) = config.create_envs(2, use_async_envs=use_async)["LiftBox"].values()
+    assert envs.single_observation_space["pixels"]["head"].shape == (36, 48, 3)  # type: ignore[index]
+    if not use_async:
+        drawn = DemoHLMVectorEnv(num_envs=2, task="LiftBox", obs_type="pixels_agent_pos", image_size=(48, 36))
+        pictures = [made.reset(seed=[3, 4])[0]["pixels"]["head"] for made in (envs, drawn)]
+        np.testing.assert_array_equal(*pictures)
+        drawn.close()
+    envs.close()
+    with pytest.raises(ValueError, match="0 x 36 pixels"):
+        DemoHLMEnvConfig(task="LiftBox", obs_type="pixels_agent_pos", image_width=0, image_height=36)
 
 
 def test_workers_give_the_same_lines(restless: Path) -> None:

@@ -7,13 +7,15 @@ from typing import Any
 
 import pytest
 
+from gym_demohlm import jsonl
 from gym_demohlm.errors import DatasetError
 from gym_demohlm.registry import all_tasks, get_task, register_task
 from gym_demohlm.task import SCORING_SEEDS
 from lerobot_demohlm.cli import main
 from lerobot_demohlm.evaluation import leaderboard
-from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts
+from lerobot_demohlm.evaluation.evaluate import FIRST_SEED, read_rollouts, success_rate
 from lerobot_demohlm.evaluation.leaderboard import PROTOCOL, card, read, sign
+from lerobot_demohlm.evaluation.rollout import Rollout
 from lerobot_demohlm.evaluation.scoring import first_seed
 from lerobot_demohlm.experiments.rates import number
 from tests.helpers.checkpoints import save_policy
@@ -21,7 +23,7 @@ from tests.helpers.paths import REPOSITORY
 
 
 def result(**changes: Any) -> dict[str, Any]:
-    success = {"rate": 0.5, "interval": [0.09, 0.91]}
+    success = success_rate(1, 2)
     cells = [
         {
             "region": region, "variation": variation, "episodes": 2, "successes": 1,
@@ -66,6 +68,9 @@ def test_an_edited_result_is_found_out(tmp_path: Path, key: str) -> None:
         ({"protocol": {"episodes": 2}}, "another protocol"),
         ({"cells": result()["cells"][:2]}, "other settings"),
         ({"cells": [{**cell, "first_seed": 1} for cell in result()["cells"]]}, "other starts"),
+        ({"cells": [{**cell, "successes": 3} for cell in result()["cells"]], "score": 1.5}, "3 successes"),
+        ({"cells": [{**cell, "success_strict": success_rate(2, 2)} for cell in result()["cells"]]}, "a rate of 1.0"),
+        ({"cells": [{**cell, "outcomes": {"success": 1}} for cell in result()["cells"]]}, "one outcome for each of 2"),
         ({"cells": [{"region": "R3"}]}, "damaged"),
         ({"cells": 3}, "damaged"),
     ],
@@ -81,6 +86,41 @@ def test_edited_rollouts_are_found_out(tmp_path: Path) -> None:
     path = written(tmp_path / "result.json", result())
     (tmp_path / "rollouts_r4_real.jsonl").write_text("{}\n")
     with pytest.raises(DatasetError, match=r"rollouts_r4_real\.jsonl, edited"):
+        read(path)
+
+
+def rolled_out(folder: Path, **changes: str) -> Path:
+    """Write a result of two rollouts a setting; those of the last setting are changed. Everything is signed."""
+    cells = []
+    for region, variation in PROTOCOL.cells:
+        seed, last = first_seed("LiftBox", region), (region, variation) == PROTOCOL.cells[-1]
+        rollout = Rollout(
+            task="LiftBox", policy="act", policy_hash="a", region=region, variation=variation, seed=seed, code="d",
+            controller="c", success_ever=True, success_end=True, success_held=True, success_strict=True,
+            outcome="success", length_s=1.0, initial_state={},
+        )  # fmt: skip
+        rollouts = [replace(rollout, seed=each, **(changes if last else {})) for each in (seed, seed + 1)]
+        path = folder / f"rollouts_{region.lower()}_{variation}.jsonl"
+        jsonl.write(path, map(asdict, rollouts))
+        cells.append(leaderboard._cell(region, variation, seed, rollouts, path))
+    return written(folder / "result.json", result(cells=cells, score=1.0))
+
+
+def test_rollouts_beside_a_result_are_those_of_its_settings(tmp_path: Path) -> None:
+    assert read(rolled_out(tmp_path))["score"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("task", "GraspCube"), ("policy", "mlp"), ("policy_hash", "b"), ("region", "R1"), ("variation", "none"),
+        ("perception", "rgbd"), ("code", "e"), ("code", ""), ("controller", "another"),
+    ],
+)  # fmt: skip
+def test_rollouts_of_something_else_are_found_out(name: str, value: str, tmp_path: Path) -> None:
+    """Even where all was signed again: both variations of a region have the same seeds."""
+    path = rolled_out(tmp_path, **{name: value})
+    with pytest.raises(DatasetError, match=rf"another {name} than rollouts_r4_real\.jsonl"):
         read(path)
 
 

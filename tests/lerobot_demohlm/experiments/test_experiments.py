@@ -23,6 +23,7 @@ from lerobot_demohlm.datasets.facts import write_facts
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.experiments import cells as cells_module
 from lerobot_demohlm.experiments import lines
+from lerobot_demohlm.experiments import plan as plan_module
 from lerobot_demohlm.experiments.cells import Effort, run_cell
 from lerobot_demohlm.experiments.cells import _alone as run_alone
 from lerobot_demohlm.experiments.lines import GenerationResult, PolicyResult
@@ -46,6 +47,11 @@ def fake_run(cell: Cell | RegionCell) -> PolicyResult | None:
     if cell.task == "GraspCube":
         os._exit(9)  # as one that is killed for its memory
     return None if cell.task == "PressCube" or not isinstance(cell, Cell) else make_line(cell)
+
+
+def test_cells_whose_worlds_do_not_vary_are_those_of_the_plain_world() -> None:
+    for table in ("worlds", "regions"):
+        assert plan(table, variations=("real@0", "none:pushes")) == plan(table, variations=("none",))
 
 
 def test_every_task_has_a_number_before_any_has_two() -> None:
@@ -210,6 +216,13 @@ def test_what_is_missing_is_run_and_the_rest_kept(tmp_path: Path, capsys: pytest
     assert cli.main([*words, *folders, "--budget-hours", "0"]) == 2
     assert cli.main([*words, *folders, "--budget-hours", "1e-9"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["missing"] == 2
+
+
+def test_a_recipe_tells_how_ranges_are_measured_where_they_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = [dataclasses.replace(CELL, policy=policy) for policy in ("mlp", "act", "diffusion")]
+    before = [cell.recipe for cell in cells]
+    monkeypatch.setattr(plan_module, "RANGE_FLOOR", 1.0)
+    assert [cell.recipe == old for cell, old in zip(cells, before, strict=True)] == [True, True, False]
 
 
 @pytest.mark.parametrize(

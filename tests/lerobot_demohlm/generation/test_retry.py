@@ -149,6 +149,14 @@ def test_worlds_that_vary_have_their_own_limits_and_no_fewer_tries_than_asked() 
     assert dataclasses.replace(varied, variation=dataclasses.replace(varied.variation, retries=more)).retries == more
 
 
+@pytest.mark.parametrize("name", ["real@0", "hard@0.0:objects", "none@1", "none:objects"])
+def test_worlds_by_whose_name_nothing_varies_are_plain(name: str) -> None:
+    variation = dataclasses.replace(PLAIN, variation=name)
+    assert variation == PLAIN and variation.content() == PLAIN.content()
+    assert not Settings(variation=variation).adapts
+    assert Settings(variation=dataclasses.replace(PLAIN, variation="real@0.01")).adapts
+
+
 @pytest.mark.parametrize(("variation", "tilt"), [("real:start", 0.0), ("real:start", np.pi / 2), ("none", 0.0)])
 def test_a_thing_that_was_pushed_away_is_taken_where_it_is(variation: str, tilt: float) -> None:
     """In worlds that vary, and if it still stands as it did."""

@@ -1,6 +1,7 @@
 """A block whose worker dies is made by another; a worker that keeps dying ends the run and says why."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -23,7 +24,7 @@ from lerobot_demohlm.generation.run import GenerationRun
 from lerobot_demohlm.generation.runner import BlockMaker, generate, make_blocks
 from lerobot_demohlm.generation.workers import Done, Make, ProcessWorkers
 from lerobot_demohlm.reproducibility import provenance
-from tests.helpers import makes
+from tests.helpers import makes, outside
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.synthetic import make_episode, make_facts
 
@@ -215,6 +216,48 @@ def test_a_worker_with_other_code_or_another_controller_is_refused(
         monkeypatch.setattr(provenance, "generator_hash", lambda: "other")
     with pytest.raises(DatasetError, match=f"a worker with {changed} "):
         maker(tmp_path, range(4))
+
+
+def test_a_worker_with_another_file_of_the_task_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on another machine, or where the file was edited before a worker took the place of one that had died."""
+    monkeypatch.syspath_prepend(tmp_path)
+    outside.bring_task(tmp_path, 0.3)
+    facts = make_facts(task=outside.NAME, controller_hash=controllers.load().hash)
+    lift_box = demonstration.load(task=get_task("LiftBox"))
+    maker = BlockMaker(facts=facts, demonstration=lift_box, task_module=outside.MODULE)
+    outside.bring_task(tmp_path, 0.2)
+    with pytest.raises(DatasetError, match="a worker with code "):
+        maker(tmp_path, range(4))
+
+
+def test_an_edited_task_from_outside_does_not_go_on_with_its_old_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    facts = make_facts(task=outside.NAME)
+
+    def kept() -> int:
+        run = GenerationRun.open(tmp_path / "data", "user/name", facts)
+        run.close()
+        return run.num_attempts
+
+    outside.bring_task(tmp_path, 0.3)
+    run = GenerationRun.open(tmp_path / "data", "user/name", facts)
+    write_block(run.directory, facts, range(4), [make_episode(i, outcome="fell", length=0) for i in range(4)])
+    run.close()
+    outside.bring_task(tmp_path, 0.2)
+    with pytest.raises(DatasetError, match=r"begun by another version of the file of FromOutside.*another --root"):
+        kept()
+    outside.bring_task(tmp_path, 0.3)
+    assert kept() == 4
+
+
+def test_a_run_of_the_packages_own_task_notes_no_file(tmp_path: Path) -> None:
+    """So what was begun before files were noted goes on."""
+    run = GenerationRun.open(tmp_path / "data", "user/name", make_facts())
+    run.close()
+    begun = json.loads((run.directory / "run.json").read_text())
+    assert begun.keys() == {*make_facts().content(), "code_hash", "generator_hash"}
 
 
 def test_an_unknown_backend_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The control process without a robot: what ends it, what it does then, and sleep that the machine itself slept."""
+"""The control process without a robot: what ends it, sleep that the machine itself slept, and where the neck turns."""
 
 import os
 import signal
@@ -10,10 +10,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from lerobot_demohlm.hardware import control_process
+from gym_demohlm import poses
+from gym_demohlm.control import command
+from gym_demohlm.registry import get_task
+from lerobot_demohlm.hardware import control_process, records
 from lerobot_demohlm.hardware.control_process import FAREWELL, ControlProcess
+from lerobot_demohlm.hardware.following import NeckFollower, Search
+from lerobot_demohlm.hardware.limits import Ages
+from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.robot import until
 
@@ -119,3 +126,54 @@ def test_a_machine_that_was_suspended_has_slept(monkeypatch: pytest.MonkeyPatch)
     suspended_s = 3600.0
     process._look()
     assert slept[0] < 3600.0 < slept[1]
+
+
+class Necks:
+    """The neck of a robot that does StackCube: its target is the red cube, and it sees the blue one all the time."""
+
+    def __init__(self, folder: Path) -> None:
+        task = get_task("StackCube")
+        self._process: Any = ControlProcess.__new__(ControlProcess)
+        self._process._slots = {name: records.slot(folder, name) for name in records.RECORDS}
+        self._process._settings, self._process._seen = (
+            SimpleNamespace(ages=Ages()),
+            SimpleNamespace(pose=0.02, policy=0.05),
+        )
+        self._process._gaze = [entry.name for entry in task.objects].index(task.gaze_target)
+        self._process._search, self._process._neck = Search(task), NeckFollower()
+        self._neck = np.zeros(2)
+
+    def turn(self, torso_yaw: float, red_age_s: float) -> np.ndarray:
+        """Have the torso stand at a yaw [rad] for a tick, the red cube seen that long ago; returns the neck's goals."""
+        slots = self._process._slots
+        state = records.record(
+            "state", T_odometry_torso=poses.planar(0.0, 0.0, torso_yaw) @ poses.pose([0.0, 0.0, 1.0])
+        )
+        servos = records.record("servos", neck=self._neck)
+        slots["state"].write(state)
+        slots["servos"].write(servos)
+        T_camera_odometry = poses.invert(odometry_camera(state, servos))
+        T = np.tile(np.eye(4), (records.MAX_OBJECTS, 1, 1))
+        T[0], T[1] = (T_camera_odometry @ poses.pose([1.0, y, 1.0]) for y in (0.0, 0.2))
+        seen = {"valid": [red_age_s == 0.0, True, False, False], "age_s": [red_age_s, 0.0, 0.0, 0.0]}
+        there = poses.invert(T_camera_odometry)
+        slots["pose"].write(records.record("pose", T_camera_object=T, T_odometry_camera=there, **seen))
+        self._process._send_servos(command.rest())
+        self._neck = slots["servo_goals"].read().value["neck"].copy()
+        return self._neck
+
+
+@pytest.mark.parametrize("red_age_s", [0.0, 3.0])
+def test_a_neck_turns_to_where_its_target_is_or_was_as_in_training(red_age_s: float, tmp_path: Path) -> None:
+    necks = Necks(tmp_path)
+    for _ in range(100):
+        necks.turn(0.0, 0.0)
+    for tick in range(200):
+        goals = necks.turn(-0.8 * min(1.0, tick / 75), red_age_s)
+    assert goals[0] == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_neck_searches_for_a_target_that_was_never_seen_while_it_sees_others(tmp_path: Path) -> None:
+    necks = Necks(tmp_path)
+    yaws = [necks.turn(0.0, np.inf)[0] for _ in range(600)]
+    assert max(yaws) > 1.0 and min(yaws) < -1.0

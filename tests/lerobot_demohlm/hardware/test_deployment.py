@@ -23,7 +23,7 @@ from gym_demohlm.errors import DemoHLMError, UnknownNameError
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
 from lerobot_demohlm.cli import deploy, main
 from lerobot_demohlm.evaluation.loaded_policy import policy_hash
-from lerobot_demohlm.hardware import recorder
+from lerobot_demohlm.hardware import policy_process, pose_process, recorder
 from lerobot_demohlm.hardware.deployment import FACTS, OPERATOR_S, Deployment, _identify
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
@@ -31,6 +31,7 @@ from lerobot_demohlm.hardware.faults import Fault, Faults
 from lerobot_demohlm.hardware.layout import LowCmd
 from lerobot_demohlm.hardware.limits import Ages
 from lerobot_demohlm.hardware.link import LOW_CMD, Link
+from lerobot_demohlm.hardware.processes import _make_helper
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.reports.explain.deployment_page import explain_deployment
 from tests.helpers.checkpoints import save_policy
@@ -179,6 +180,23 @@ def test_a_record_says_which_policy_and_which_controller(tmp_path: Path) -> None
         "policy": str(policy.resolve()), "policy_hash": policy_hash(policy), "controller": controllers.load().hash
     }  # fmt: skip
     assert _identify(DeploymentSettings(task="LiftBox", interface="lo", policy=None))["policy_hash"] is None
+
+
+def test_eyes_and_policy_are_told_the_region(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    told: list[str] = []
+    for module, name in ((pose_process, "PoseProcess"), (policy_process, "PolicyProcess")):
+        monkeypatch.setattr(module, name, lambda settings: told.append(settings.region))
+    calibrated = {"pose": [0, 0, 0, 1, 0, 0, 0], "focal_px": 600}
+    camera = json.dumps({"type": "opencv", "index_or_path": 0, "calibration": calibrated})
+    plain = DeploymentSettings(
+        task="LiftBox", interface="lo", policy=tmp_path, pose_source="remote,address=tcp://127.0.0.1:9", camera=camera
+    )
+    for settings in (plain, dataclasses.replace(plain, region="R4")):
+        for name in ("pose", "policy"):
+            _make_helper(name, settings, tmp_path)
+    assert told == ["R3", "R3", "R4", "R4"]
+    with pytest.raises(UnknownNameError, match="R1, R2, R3, R4"):
+        dataclasses.replace(plain, region="R9")
 
 
 def test_bad_faults_are_refused(tmp_path: Path) -> None:

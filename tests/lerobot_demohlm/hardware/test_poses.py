@@ -14,25 +14,37 @@ from gym_demohlm import poses
 from gym_demohlm.control import command
 from gym_demohlm.envs import observation
 from gym_demohlm.errors import SceneError, UnknownNameError
-from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, Intrinsics, head_intrinsics
+from gym_demohlm.perception.camera import T_CAMERA_OPTICAL, T_OPTICAL_CAMERA, Intrinsics, head_intrinsics
 from gym_demohlm.perception.equivalents import nearest_equivalent
-from gym_demohlm.perception.estimate import PoseEstimate
+from gym_demohlm.perception.estimate import UNSEEN, PoseEstimate
 from gym_demohlm.perception.settings import PerceptionSettings
 from gym_demohlm.perception.tag_file import read_tags
 from gym_demohlm.perception.wire import Request
 from gym_demohlm.registry import get_task
 from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.hardware import pose_process, records, robot_observation, world_topic
+from lerobot_demohlm.hardware.camera import Picture
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.link import WORLD, Link
 from lerobot_demohlm.hardware.odometry import odometry_camera
 from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings, _record
-from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, WorldSource, _Seen
+from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, Where, WorldSource, _Seen
 from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.pose_servers import replying, told
 from tests.helpers.robot import free_domain
 
 TASK = get_task("LiftBox")
+
+
+def at(T_odometry_camera: np.ndarray) -> Where:
+    """Return a head camera that rests."""
+    return lambda _: T_odometry_camera
+
+
+HERE = at(np.eye(4))
+CALIBRATED = json.dumps(
+    {"type": "opencv", "index_or_path": 0, "calibration": {"pose": [0, 0, 0, 1, 0, 0, 0], "focal_px": 600}}
+)
 
 
 def test_exact_poses_of_another_processes_world_are_those_of_the_environment() -> None:
@@ -44,11 +56,11 @@ def test_exact_poses_of_another_processes_world_are_those_of_the_environment() -
     snapshot, look, until = sim.snapshot(), None, time.monotonic() + 20.0
     state = records.record("state", T_odometry_torso=np.eye(4))
     camera = odometry_camera(state, None)
-    assert source(camera) is None
+    assert source(at(camera)) is None
     while look is None and time.monotonic() < until:
         writer.send(world_topic.pack(0, 0.4, snapshot["physics"][0], snapshot["mocap"][0]))
         time.sleep(0.02)
-        look = source(camera)
+        look = source(at(camera))
     assert look is not None
     record = _record(look, 0.0)
     seen = robot_observation.environment_state(record, state, None, len(TASK.objects))
@@ -67,13 +79,23 @@ def test_a_world_goes_through_its_message() -> None:
 
 
 class Pictures:
-    """A camera that shows the pictures that it is given, then none."""
+    """A camera that shows the pictures that it is given, then none; taken now, or at times that are given."""
 
-    def __init__(self, pictures: list[np.ndarray], known: Intrinsics) -> None:
-        self._pictures, self._known = pictures, known
+    def __init__(
+        self,
+        pictures: list[np.ndarray],
+        known: Intrinsics,
+        lens: np.ndarray | None = None,
+        times: list[int] | None = None,
+    ) -> None:
+        self._pictures, self._known, self._times = pictures, known, times
+        self.T_camera_optical = (np.eye(4) if lens is None else lens) @ T_CAMERA_OPTICAL
 
-    def color(self) -> np.ndarray | None:
-        return self._pictures.pop(0) if self._pictures else None
+    def picture(self) -> Picture | None:
+        if not self._pictures:
+            return None
+        time_ns = self._times.pop(0) if self._times else time.monotonic_ns()
+        return Picture(image=self._pictures.pop(0), time_ns=time_ns)
 
     def intrinsics(self, shape: tuple[int, ...]) -> Intrinsics:
         return self._known
@@ -92,8 +114,8 @@ def test_a_server_is_asked_about_a_cameras_pictures_and_its_silence_is_silence()
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=60.0)
         source = ServerSource(TASK, settings, pictures)
         before = time.monotonic_ns()
-        looks = [source(np.eye(4)), source(np.eye(4))]
-        assert source(np.eye(4)) is None  # no picture
+        looks = [source(HERE), source(HERE)]
+        assert source(HERE) is None  # no picture
     for look in looks:
         assert look is not None and look.estimate.valid.all() and before <= look.time_ns <= time.monotonic_ns()
         np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], [1.0, 0.0, 0.0], atol=1e-12)
@@ -111,9 +133,9 @@ def test_a_late_answer_counts_from_where_its_picture_was_taken() -> None:
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
         source, look, until = ServerSource(TASK, settings, pictures), None, time.monotonic() + 20.0
         first, turned = np.eye(4), poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, 0.8]))
-        assert source(first) is None, "the answer is late"
+        assert source(at(first)) is None, "the answer is late"
         while look is None and time.monotonic() < until:
-            look = source(turned)
+            look = source(at(turned))
     assert look is not None
     np.testing.assert_array_equal(look.T_odometry_camera, first)
     np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], [1.0, 0.0, 0.0], atol=1e-12)
@@ -123,7 +145,7 @@ def test_a_silent_server_gives_no_look() -> None:
     with replying(lambda request: None) as address:
         pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)], head_intrinsics(64, 48))
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
-        assert ServerSource(TASK, settings, pictures)(np.eye(4)) is None
+        assert ServerSource(TASK, settings, pictures)(HERE) is None
 
 
 def test_what_a_server_was_asked_before_the_source_forgot_is_not_believed() -> None:
@@ -138,10 +160,10 @@ def test_what_a_server_was_asked_before_the_source_forgot_is_not_believed() -> N
         pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)] * 2000, head_intrinsics(64, 48))
         settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=0.05)
         source, look, until = ServerSource(TASK, settings, pictures), None, time.monotonic() + 20.0
-        assert source(np.eye(4)) is None, "the answer is late"
+        assert source(HERE) is None, "the answer is late"
         source.forget()
         while look is None and time.monotonic() < until:
-            look = source(np.eye(4))
+            look = source(HERE)
     assert look is not None and heard[-1].frame > 0 and heard[0].session != heard[-1].session
     assert not heard[0].depth.any(), "LeRobot's depth is not seen from where the picture is"
 
@@ -151,7 +173,7 @@ class Remembers:
 
     forgotten = 0
 
-    def __call__(self, T_odometry_camera: np.ndarray) -> None:
+    def __call__(self, where: Where) -> None:
         """Look at nothing."""
 
     def forget(self) -> None:
@@ -199,6 +221,8 @@ def test_sources_that_do_not_exist_or_lack_something_are_refused(tmp_path: Path)
 
     with pytest.raises(UnknownNameError, match="did you mean 'exact'"):
         make("exakt")
+    with pytest.raises(RobotError, match=r"lens nobody knows.*calibration"):
+        replace(make("remote"), camera='{"type": "opencv", "index_or_path": 0}')
     with pytest.raises(RobotError, match="give --tags with --camera"):
         replace(make("apriltag"), camera="{}")
     with pytest.raises(RobotError, match="rgbd with a camera"):
@@ -246,8 +270,8 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     camera: Any = Pictures(shown, known)
     source = TagSource(TASK, tmp_path / "tags.json", camera)
     turned = poses.from_rotation(poses.rotation_from_vector([0.0, 0.0, 0.2]), [0.3, -0.2, 0.1])
-    assert source(np.eye(4)) is None
-    look, later = source(np.eye(4)), source(turned)
+    assert source(HERE) is None
+    look, later = source(HERE), source(at(turned))
     assert look is not None and look.estimate.valid.all()
     found = look.estimate.T_camera_object[0, 0]
     expected = T_CAMERA_OPTICAL @ T_optical_tag @ poses.invert(poses.pose(numbers[:3], numbers[3:]))
@@ -255,10 +279,116 @@ def test_a_tag_in_a_picture_gives_the_pose_of_its_object(turn: float, tmp_path: 
     assert np.linalg.norm(found[:3, 3] - expected[:3, 3]) < 0.01
     assert np.linalg.norm(poses.rotation_vector(found[:3, :3].T @ expected[:3, :3])) < 0.06
     assert later is not None and not later.estimate.valid.any()
-    assert abs(later.time_ns - look.time_ns) < 10  # it grows old
+    assert look.time_ns == pytest.approx(later.time_ns, abs=10)  # it grows old
     held = turned @ later.estimate.T_camera_object[0, 0]
     np.testing.assert_allclose(held, found, atol=1e-12, err_msg="out of sight it stays where it was, the head turns")
-    assert source(np.eye(4)) is None
+    assert source(HERE) is None
     camera._pictures.append(np.zeros((480, 640, 3), np.uint8))
     source.forget()
-    assert source(np.eye(4)) is None, "it has to be seen again"
+    assert source(HERE) is None, "it has to be seen again"
+
+
+KNOWN = Intrinsics(width=640, height=480, focal=617.0, center_u=319.5, center_v=239.5)
+T_CAMERA_TAG = (
+    T_CAMERA_OPTICAL
+    @ poses.from_rotation(np.diag([1.0, -1.0, -1.0]), [0.05, -0.03, 0.8])
+    @ poses.from_rotation(poses.rotation_from_vector([0.0, 0.35, 0.1]))
+)
+
+
+def tags_file(folder: Path, **ids: int) -> Path:
+    """Write a file of tags that sit at their objects' origins; returns its path."""
+    tags = {name: [{"id": number, "size_m": 0.08, "pose": [0, 0, 0, 1, 0, 0, 0]}] for name, number in ids.items()}
+    (folder / "tags.json").write_text(json.dumps(tags))
+    return folder / "tags.json"
+
+
+def shown(T_camera_tag: np.ndarray, lens: np.ndarray) -> np.ndarray:
+    """Return a picture of tag 7 by its place in the frame ``head_camera``, through a lens in that frame."""
+    return picture_of_tag(7, 0.08, T_OPTICAL_CAMERA @ poses.invert(lens) @ T_camera_tag, KNOWN.matrix)
+
+
+@pytest.mark.parametrize("numbers", [[0.0, 0.0325, 0.0, 1, 0, 0, 0], [-0.01, -0.02, 0.03, 0.99, 0.02, -0.05, 0.1]])
+def test_wherever_the_lens_is_poses_are_those_in_the_frame_of_the_head_camera(
+    numbers: list[float], tmp_path: Path
+) -> None:
+    lens = poses.pose(numbers[:3], np.array(numbers[3:]) / np.linalg.norm(numbers[3:]))
+    camera: Any = Pictures([shown(T_CAMERA_TAG, lens)], KNOWN, lens)
+    look = TagSource(TASK, tags_file(tmp_path, box=7), camera)(HERE)
+    assert look is not None
+    assert np.linalg.norm(look.estimate.T_camera_object[0, 0, :3, 3] - T_CAMERA_TAG[:3, 3]) < 0.005
+
+    asked: list[Request] = []
+
+    def reply(request: Request) -> bytes:
+        asked.append(request)
+        return told(request)
+
+    with replying(reply) as address:
+        pictures: Any = Pictures([np.zeros((48, 64, 3), np.uint8)], head_intrinsics(64, 48), lens)
+        settings = PerceptionSettings(source="remote", masks="server", address=address, timeout_s=60.0)
+        look = ServerSource(TASK, settings, pictures)(HERE)
+    assert look is not None
+    ahead = poses.transform(lens, np.array([[1.0, 0.0, 0.0]]))[0]  # 1 m before the lens
+    np.testing.assert_allclose(look.estimate.T_camera_object[0, 0, :3, 3], ahead, atol=1e-12)
+    np.testing.assert_allclose(asked[0].T_odom_optical, lens @ T_CAMERA_OPTICAL, atol=1e-12)
+
+
+def test_a_picture_counts_from_where_the_camera_was_when_it_was_taken(tmp_path: Path) -> None:
+    def where(time_ns: int) -> np.ndarray | None:
+        """Return a head that turns by 1 rad/s; before it was measured nobody knows."""
+        return None if time_ns < 0 else poses.planar(0.0, 0.0, 1e-9 * time_ns)
+
+    times = [-1, 0, 60_000_000, 150_000_000]
+    pictures = [shown(poses.invert(poses.planar(0.0, 0.0, 1e-9 * max(t, 0))) @ T_CAMERA_TAG, np.eye(4)) for t in times]
+    camera: Any = Pictures(pictures, KNOWN, times=times.copy())
+    source = TagSource(TASK, tags_file(tmp_path, box=7), camera)
+    assert source(where) is None
+    for time_ns in times[1:]:
+        look = source(where)
+        assert look is not None and look.time_ns == time_ns
+        found = look.T_odometry_camera @ look.estimate.T_camera_object[0, 0]
+        assert np.linalg.norm(found[:3, 3] - T_CAMERA_TAG[:3, 3]) < 0.005
+
+
+def test_a_look_needs_one_object_and_the_others_are_unseen(tmp_path: Path) -> None:
+    """So a neck that needs the bar alone finds it, and a policy observes what the environment would show."""
+    task = get_task("PushCart")
+    camera: Any = Pictures([shown(T_CAMERA_TAG, np.eye(4))], KNOWN)
+    look = TagSource(task, tags_file(tmp_path, bar=7, cart=8), camera)(HERE)
+    assert look is not None
+    assert look.estimate.valid.tolist() == [[True, False]]
+    assert look.estimate.age_s.tolist() == [[0.0, np.inf]]
+    record = _record(look, 0.0)
+    turned = records.record("state", T_odometry_torso=poses.planar(0.3, 0.1, 0.7))
+    seen = robot_observation.objects(record, turned, None)
+    np.testing.assert_array_equal(seen[1], poses.pose(UNSEEN))
+    there = odometry_camera(turned, None) @ seen[0]
+    np.testing.assert_allclose(there, look.estimate.T_camera_object[0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["GraspCube", "LiftBox"])
+def test_in_r4_a_front_stays_where_it_is(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = []
+    monkeypatch.setattr(pose_process, "make_source", lambda _, task: tasks.append(task))
+    settings = PoseSettings(source="remote", task=name, folder=tmp_path, interface="lo", camera=CALIBRATED)
+    for each in (settings, replace(settings, region="R4")):
+        PoseProcess(each)
+    plain, wide = tasks
+    T, yaws = poses.planar(0.8, 0.0, np.radians(80.0)), []
+    for task in (plain, wide):
+        seen = _Seen(task)
+        seen.add(0, T, 1)
+        look = seen.look(np.eye(4), 1)
+        assert look is not None
+        yaws.append(float(np.degrees(poses.yaw(look.estimate.T_camera_object[0, 0]))))
+    assert abs(yaws[0]) <= 45.0 + 1e-9 and yaws[1] == pytest.approx(80.0)
+
+
+def test_a_region_that_a_simulated_world_does_not_show_is_refused(tmp_path: Path) -> None:
+    settings = PoseSettings(source="exact", task="LiftBox", folder=tmp_path, interface="lo")
+    with pytest.raises(RobotError, match=r"plain shapes.*give --camera"):
+        replace(settings, region="R4")
+    with pytest.raises(UnknownNameError, match="R9"):
+        replace(settings, region="R9")
+    replace(settings, region="R1")

@@ -155,6 +155,41 @@ def test_configuration_is_read_back_as_it_was(policy: str, root: Path, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_configuration_may_be_for_another_machines_device(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "act.json"
+    words = ["train", "--root", str(root), "--policy", "act", "--write-config", str(file), "--device"]
+    assert cli.main([*words, "xpu"]) == 0
+    assert json.loads(file.read_text())["policy"]["device"] == "xpu"
+    assert cli.main([*words, "gpu"]) == 2
+    assert "device 'gpu'" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("small")
+def test_a_checkpoint_knows_its_dataset_from_wherever_it_is_scored(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(root.parent)
+    path = training.train(tmp_path / "out", Path(root.name))
+    other = tmp_path / "elsewhere" / root.name / "meta"
+    other.mkdir(parents=True)
+    (other / "info.json").write_text('{"total_episodes": 99}')
+    (other / "demohlm.json").write_text('{"task": "PushCube"}')
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert load_policy(path, "LiftBox").num_train_episodes == 3
+    with pytest.raises(PolicyError, match="a policy trained on LiftBox"):
+        load_policy(path, "PressCube")
+
+
+@pytest.mark.usefixtures("small")
+def test_an_output_that_cannot_be_made_is_refused_before_the_training(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for output in (tmp_path / "file" / "out", Path("/proc/out")):
+        with pytest.raises(DatasetError, match="choose another --output"):
+            training.train(output, root)
+
+
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("policy", POLICIES)
 def test_a_checkpoint_is_lerobots_and_acts(policy: str, root: Path, tmp_path: Path) -> None:

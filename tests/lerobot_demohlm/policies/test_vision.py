@@ -1,17 +1,21 @@
 """Policies that see: the small CNN, what presets are given, and a few steps of each."""
 
+import inspect
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.datasets import LeRobotDataset, factory
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
+from lerobot_demohlm.datasets import in_memory
+from lerobot_demohlm.datasets.in_memory import InMemoryDataset
 from lerobot_demohlm.policies.chunked_mlp.configuration_chunked_mlp import ChunkedMLPConfig
 from lerobot_demohlm.policies.chunked_mlp.modeling_chunked_mlp import ChunkedMLPPolicy
 from lerobot_demohlm.policies.chunked_mlp.pictures import PictureEncoder, cropped
-from lerobot_demohlm.policies.presets import get_preset, input_features
+from lerobot_demohlm.policies.presets import get_preset, input_features, train_config
 from lerobot_demohlm.policies.training import train
 from tests.helpers.drawn import write_drawn
 
@@ -45,6 +49,23 @@ def test_policies_without_pictures_leave_them_out(root: Path, tmp_path: Path) ->
     assert input_features(tmp_path, sees=False) is None
     with pytest.raises(PolicyError, match="cameras"):
         input_features(tmp_path, sees=True)
+
+
+def test_pictures_that_a_policy_does_not_look_at_are_not_decoded(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(factory, "LeRobotDataset", LeRobotDataset)
+    monkeypatch.setattr(factory, "make_dataset", inspect.unwrap(factory.make_dataset))
+    monkeypatch.setattr(in_memory, "is_generated", lambda _: True)
+    in_memory.install()
+    for preset, pictures in (("cpu", []), ("vision-cpu", [RGB])):
+        config = train_config(root, tmp_path / preset, "mlp", preset)
+        dataset = factory.make_dataset(config)
+        assert isinstance(dataset, InMemoryDataset) and dataset.is_held
+        assert dataset.meta.camera_keys == pictures
+        assert [key for key in dataset.__getitems__([3]).columns if "images" in key] == pictures
+    config.policy.input_features = {}  # LeRobot's training fills in all that there are
+    assert RGB in factory.make_dataset(config).meta.camera_keys
 
 
 def test_a_preset_of_another_policy_is_an_error() -> None:

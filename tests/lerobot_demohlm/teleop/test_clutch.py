@@ -49,6 +49,25 @@ def test_motion_counts_in_the_operators_heading_and_is_scaled(
     np.testing.assert_allclose(asked.T_world_hands[1, :3, :3], view(base).T_world_hands[1, :3, :3], atol=1e-9)
 
 
+@given(drawn=ANGLES, robot=ANGLES, looks=st.tuples(ANGLES, ANGLES))
+def test_where_the_robot_is_drawn_motion_counts_as_it_is_seen_wherever_one_looks(
+    drawn: float, robot: float, looks: tuple[float, float]
+) -> None:
+    base, room = poses.planar(0.0, 0.0, robot), poses.planar(0.0, 0.0, drawn)
+    clutch, held = Clutch(), poses.pose([0.3, 0.1, 1.0])
+    hands = [HandControls(), HandControls()]
+    for index, look in enumerate(looks):  # one hand is taken after the other, while the operator looks around
+        head = poses.planar(0.0, 0.0, look) @ poses.pose([0.0, 0.0, 1.6])
+        hands[index] = HandControls(pose=held, engaged=True)
+        clutch.poses(Controls(left=hands[0], right=hands[1], head=head, heading=drawn), view(base))
+    after = held.copy()
+    after[:3, 3] += room[:3, :3] @ STEP
+    moved = HandControls(pose=after, engaged=True)
+    asked = clutch.poses(Controls(left=moved, right=moved, head=head, heading=drawn), view(base))
+    motions = asked.T_world_hands[:, :3, 3] - view(base).T_world_hands[:, :3, 3]
+    np.testing.assert_allclose(motions, np.stack([base[:3, :3] @ STEP] * 2), atol=1e-9)
+
+
 @given(operator=ANGLES, robot=ANGLES, turn=st.floats(-1.0, 1.0))
 def test_turns_are_made_about_the_operators_axes(operator: float, robot: float, turn: float) -> None:
     base, room = poses.planar(0.0, 0.0, robot), poses.planar(0.0, 0.0, operator)

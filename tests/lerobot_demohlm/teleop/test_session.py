@@ -1,9 +1,12 @@
 """A recording session: states, going back bit for bit, the verdict before saving, a process that was killed."""
 
+import errno
+import io
 import json
 import os
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Buffer, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -266,6 +269,60 @@ def test_a_damaged_recording_is_said_to_be(tmp_path: Path, damage: str) -> None:
         facts.write_text("{}" if damage == "no start" else "[]")
     with pytest.raises(DemonstrationError, match="damaged"):
         journal.find()
+
+
+def test_a_recording_that_was_not_taken_up_is_kept(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "lift")
+    session.press("record")
+    session.carry_out(next(script(session)))
+    session.close()
+    rows = (tmp_path / "lift.unfinished" / "rows.bin").read_bytes()
+    for number, button in enumerate(("discard", "record"), start=1):
+        session = make_session(tmp_path / "lift")
+        assert session.status().unfinished == 1
+        session.press(button)
+        kept = tmp_path / f"lift.unfinished.{number}"
+        assert kept.name in session.status().message and session.status().unfinished == 0
+        assert (kept / "rows.bin").read_bytes() == rows
+        session.close()
+        shutil.rmtree(tmp_path / "lift.unfinished", ignore_errors=True)
+        shutil.copytree(kept, tmp_path / "lift.unfinished")  # as its warning says
+    assert make_session(tmp_path / "lift").status().unfinished == 1
+
+
+class Disk(io.FileIO):
+    """A file whose disk may be full."""
+
+    full = False
+
+    def write(self, content: Buffer) -> int:  # type: ignore[override]
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(content)
+
+
+def test_a_full_disk_stops_the_recording_until_there_is_room_and_no_step_is_lost(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "lift")
+    session.press("record")
+    disk = Disk(session.journal.directory / "rows.bin", "r+b")
+    session.journal.close()
+    session.journal._file = io.BufferedWriter(disk)
+    session.advance(ENGAGED)
+    disk.full = True
+    session.advance(ENGAGED)
+    assert session.paused and "No space left" in session.status().message
+    session.advance(Controls())
+    session.advance(ENGAGED)  # there is still none
+    assert session.paused and len(session) == 3
+    disk.full = False
+    session.advance(Controls())
+    session.advance(ENGAGED)
+    assert not session.paused and session.status().message == "recording"
+    made = [row["action"] for row in session.recorder.rows]
+    session.close()
+    found = Journal(session.journal.directory).find()
+    assert found is not None
+    np.testing.assert_array_equal(found.actions, np.array(made, dtype=np.float32))
 
 
 def test_last_held() -> None:

@@ -8,7 +8,7 @@ const $ = (id) => document.getElementById(id);
 
 const app = {
   status: null, role: null, frames: 0, drawn: 0, errors: [], offset: 0, bestTrip: Infinity, xrFrames: 0,
-  applied: null, socket: null, closed: false,
+  applied: null, socket: null, closed: false, failures: 0,
 };
 window.demohlm = app;  // for other programs that look at this page
 
@@ -26,11 +26,12 @@ function connect() {
   app.socket = socket;
   socket.onmessage = (event) => typeof event.data === "string" ? hear(JSON.parse(event.data)) : see(event.data);
   socket.onclose = () => {
-    show("link", "the connection is lost");
+    app.failures++;
+    show("link", "the connection is lost" + (app.failures > 3 ? ": open the address that the command has printed last" : ""));
     if (app.status && app.status.state === "saved") return;
-    setTimeout(connect, 1000);
+    setTimeout(connect, Math.min(1000 * app.failures, 15000));
   };
-  socket.onopen = () => { app.bestTrip = Infinity; show("link", ""); };
+  socket.onopen = () => { app.bestTrip = Infinity; app.failures = 0; show("link", ""); };
 }
 
 function send(content) {
@@ -121,7 +122,7 @@ function render(s) {
   timeline(s);
   $("review").hidden = !review;
   if (review) verdict(s);
-  const panel = [$("status").textContent + (s.success ? " · success" : ""), words(s), ...s.warnings];
+  const panel = [...(app.errorUntil > performance.now() ? [$("message").textContent] : []), $("status").textContent + (s.success ? " · success" : ""), words(s), ...s.warnings];
   if (review && s.verdict && s.verdict.trial) panel.splice(1, 0, $("trial-words").textContent);
   if (app.session) scene.say(panel);
   const column = DEVICE_COLUMNS[controls.device] || 4;
@@ -215,6 +216,8 @@ async function enter(mode) {
   const space = await session.requestReferenceSpace("local-floor").catch(() => session.requestReferenceSpace("local"));
   app.session = session;
   scene.home = null;
+  document.body.classList.toggle("ar", phone);
+  if (phone) $("touch").hidden = false;
   const frame = (_, seen) => {
     session.requestAnimationFrame(frame);
     app.xrFrames++;
@@ -227,6 +230,7 @@ async function enter(mode) {
   session.addEventListener("end", () => {
     app.session = null;
     controls.xr = null;
+    document.body.classList.remove("ar");
     requestAnimationFrame(loop);
   });
 }
@@ -255,7 +259,7 @@ function tick() {
   if (app.role === "operator" && now - sent >= SEND_MS - 2 && !app.silent) {
     sent = now;
     const yaw = app.status ? yawOf(app.status.poses.pelvis) : 0;
-    send(controls.message(Date.now() / 1000 + app.offset, scene.orbit, yaw));
+    send(controls.message(Date.now() / 1000 + app.offset, scene.orbit, yaw, scene.home ? scene.home[2] : yaw));
   }
   if (now - pinged > 1000) { pinged = now; send({ type: "ping", t: Date.now() / 1000 }); }
 }

@@ -2,16 +2,16 @@
 
 export const ACTIONS = [
   // action, headset or hands, phone, gamepad, keyboard and mouse
-  ["move a hand", "hold squeeze; bare hand: curl three fingers", "hold “left hand”, “right hand”: sticks, or tilt; in AR hold the screen", "hold LB, RB: sticks", "1 left, 2 right, 3 both; arrows, PgUp, PgDn; Shift+drag"],
+  ["move a hand", "hold squeeze; bare hand: curl three fingers", "hold “left hand”, “right hand”: sticks, or tilt; in AR the phone is the hand", "hold LB, RB: sticks", "1 left, 2 right, 3 both; arrows, PgUp, PgDn; Shift+drag"],
   ["turn a hand", "turn it", "tilt", "hold LB or RB: d-pad", "I K pitch, J L yaw, U O roll"],
   ["both hands together, apart", "move them", "hold both: right stick sideways", "hold LB and RB: right stick sideways", "comma, full stop"],
   ["close a gripper", "trigger; bare hand: pinch", "grip", "LT, RT with LB, RB", "space"],
-  ["walk", "left stick", "left stick", "left stick", "W S A D"],
-  ["turn", "right stick", "right stick", "right stick", "Q E"],
-  ["squat, rise", "A, B on the right", "squat, rise", "d-pad", "F, R"],
-  ["record, end", "X on the left", "Record", "Start", "Enter"],
-  ["rewind 2 s", "Y on the left", "Rewind", "Back", "Backspace"],
-  ["save, discard", "X, hold Y, in review", "Save, Discard", "A, B, in review", "M, Delete"],
+  ["walk", "left stick (bare hands: none)", "left stick", "left stick", "W S A D"],
+  ["turn", "right stick (bare hands: none)", "right stick", "right stick", "Q E"],
+  ["squat, rise", "A, B on the right (bare hands: none)", "squat, rise", "d-pad", "F, R"],
+  ["record, end", "X on the left; bare hands: in a second browser", "Record", "Start", "Enter"],
+  ["rewind 2 s", "Y on the left; bare hands: in a second browser", "Rewind", "Back", "Backspace"],
+  ["save, discard", "X, hold Y, in review; bare hands: in a second browser", "Save, Discard", "A, B, in review", "M, Delete"],
 ];
 export const DEVICE_COLUMNS = { headset: 1, hands: 1, phone: 2, gamepad: 3, keyboard: 4 };
 
@@ -41,7 +41,8 @@ export class Controls {
     this.freeAt = { left: 0, right: 0 };  // step at which they were not
     this.touch = { sticks: { left: [0, 0], right: [0, 0] }, hold: { left: false, right: false }, tilt: false, lift: 0 };
     this.drag = null;
-    this.orientation = null;
+    this.orientation = null;  // of a phone, WebXR's quaternion
+    this.facing = null;  // heading in which a phone was held as its hand was taken [rad]
     this.device = "keyboard";
     this.pads = {};
     this.steps = 0;  // of the world, that the page was told of
@@ -101,7 +102,7 @@ export class Controls {
       else orbit.distance = Math.max(0.6, Math.min(8, orbit.distance * Math.exp(e.deltaY * 0.001)));
     }, { passive: false });
     addEventListener("deviceorientation", (e) => {
-      if (e.alpha !== null) this.orientation = [e.alpha, e.beta, e.gamma].map((d) => d * Math.PI / 180);
+      if (e.alpha !== null) this.orientation = fromOrientation([e.alpha, e.beta, e.gamma].map((d) => d * Math.PI / 180));
     });
   }
 
@@ -177,12 +178,13 @@ export class Controls {
 
   // One message
 
-  message(now, orbit, robotYaw) {
+  message(now, orbit, robotYaw, drawnYaw) {  // headings of the robot as it is, and as it is drawn around an operator
     const hands = { left: idle(), right: idle() }, walk = [0, 0, 0];
-    let head = null, lift = 0;
+    let head = null, heading = null, lift = 0;
     if (this.xr) {
       const seen = this.xr;
       head = seen.head;
+      heading = Math.atan2(Math.sin(robotYaw - drawnYaw), Math.cos(robotYaw - drawnYaw));
       for (const side of SIDES) Object.assign(hands[side], seen.hands[side]);
       seen.walk.forEach((v, i) => { walk[i] = v; });
       lift = seen.lift;
@@ -198,7 +200,7 @@ export class Controls {
       if (this.held[side]) this.wished.delete(side);
       else this.freeAt[side] = this.steps;
     }
-    return { type: "input", seq: this.sequence++, t: now, device: this.device, head, lean: this.headMoves(), hands,
+    return { type: "input", seq: this.sequence++, t: now, device: this.device, head, heading, lean: this.headMoves(), hands,
       walk: walk.map(unit), lift: unit(lift) };
   }
 
@@ -229,8 +231,16 @@ export class Controls {
   touchPad() {
     const { sticks, hold, tilt, lift } = this.touch;
     const grips = { left: this.grip("left"), right: this.grip("right") };
-    return { left: sticks.left, right: sticks.right, hold, grips, turn: [0, 0, 0], lift,
-      pose: tilt && this.orientation ? [0, 0, 0, ...fromOrientation(this.orientation)] : null };
+    return { left: sticks.left, right: sticks.right, hold, grips, turn: [0, 0, 0], lift, pose: this.tilted(hold, tilt) };
+  }
+
+  tilted(hold, tilt) {  // forward is where the top of the screen pointed as the first hand was taken
+    if (!tilt || !this.orientation || !(hold.left || hold.right)) {
+      this.facing = null;
+      return null;
+    }
+    if (this.facing === null) this.facing = headingOf(this.orientation, screenAngle());
+    return [0, 0, 0, ...turnedBack(this.orientation, this.facing)];
   }
 
   readPad(hands, walk, pad) {
@@ -280,14 +290,18 @@ export class Controls {
     }
     const hands = { left: idle(), right: idle() }, walk = [0, 0, 0];
     let lift = 0;
-    this.device = "headset";
+    const buttons = Boolean(session.domOverlayState);  // a phone that shows the page's over the room: it is the held hand
+    this.device = buttons ? "phone" : "headset";
+    const phoneIs = (sides) => {
+      this.device = "phone";
+      for (const side of SIDES) {
+        if (sides[side]) Object.assign(hands[side], { pose: numbers(viewer.transform), engaged: true, grip: this.grip(side) });
+      }
+    };
+    if (buttons) phoneIs(this.touch.hold);
     for (const source of session.inputSources) {
-      if (source.targetRayMode === "screen") {  // a phone: it is the chosen hand itself
-        this.device = "phone";
-        for (const side of SIDES) {
-          if (!this.chosen[side]) continue;
-          Object.assign(hands[side], { pose: numbers(viewer.transform), engaged: true, grip: this.grip(side) });
-        }
+      if (source.targetRayMode === "screen") {  // a finger on a phone's screen
+        if (!buttons) phoneIs(this.chosen);
         continue;
       }
       const side = source.handedness;
@@ -356,4 +370,18 @@ function fromOrientation([alpha, beta, gamma]) {  // Z-X'-Y'' of a phone, x righ
     Math.sin(a) * Math.cos(b) * Math.cos(c) + Math.cos(a) * Math.sin(b) * Math.sin(c)];
   const h = Math.SQRT1_2;  // the world's z is up there, and y is up here: a quarter turn about x
   return [h * q[0] + h * q[1], h * q[1] - h * q[0], h * q[2] + h * q[3], h * q[3] - h * q[2]];
+}
+
+function screenAngle() { return (screen.orientation ? screen.orientation.angle : 0) * Math.PI / 180; }
+
+function headingOf([w, x, y, z], angle) {  // about WebXR's y, of the way between the screen's top and its back
+  const [a, b, c] = [Math.sin(angle), Math.cos(angle), -1];  // in the phone's axes: x right, y up, z out of the screen
+  const right = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c;
+  const back = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c;
+  return Math.atan2(-right, -back);
+}
+
+function turnedBack([w, x, y, z], heading) {
+  const c = Math.cos(heading / 2), s = -Math.sin(heading / 2);
+  return [c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x];
 }

@@ -166,13 +166,14 @@ export class Scene {
     const text = lines.join("\n");
     if (text === this.said || !this.panelCanvas) return;
     this.said = text;
-    const gl = this.gl, pen = this.panelCanvas.getContext("2d");
+    const gl = this.gl, pen = this.panelCanvas.getContext("2d"), font = "36px system-ui, sans-serif";
     pen.fillStyle = "#20242ce6";
     pen.fillRect(0, 0, 1024, 256);
     pen.fillStyle = "#ffffff";
-    lines.slice(0, 4).forEach((line, i) => {
-      pen.font = `${i === 0 ? "bold " : ""}42px system-ui, sans-serif`;
-      pen.fillText(line, 24, 56 + 58 * i, 976);
+    pen.font = font;
+    lines.flatMap((line) => wrapped(pen, line, 976)).slice(0, 5).forEach((line, i) => {
+      pen.font = i === 0 ? `bold ${font}` : font;
+      pen.fillText(line, 24, 46 + 47 * i, 976);
     });
     gl.bindTexture(gl.TEXTURE_2D, this.panelTexture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, this.panelCanvas);
@@ -281,6 +282,16 @@ export class Scene {
     gl.disable(gl.BLEND);
     gl.bindVertexArray(null);
   }
+}
+
+function wrapped(pen, text, width) {  // lines that are no wider
+  const lines = [];
+  for (const word of text.split(" ")) {
+    const longer = lines.length ? `${lines[lines.length - 1]} ${word}` : word;
+    if (lines.length && pen.measureText(longer).width <= width) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines;
 }
 
 function octahedron(size = 0.018) {

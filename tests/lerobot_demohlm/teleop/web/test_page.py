@@ -1,5 +1,6 @@
 """The page in a real browser: an emulated headset, keys, a gamepad, touch, onlookers; and whole recordings."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -7,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gym_demohlm import poses
 from lerobot_demohlm.benchmarks.teleoperation import HEADSET
 from lerobot_demohlm.demonstrations import demonstration as demonstrations
 from lerobot_demohlm.demonstrations.replay import replay
 from lerobot_demohlm.demonstrations.segmentation import segment
 from lerobot_demohlm.teleop.clutch import DEAD_ZONE, WALK_SPEED
 from lerobot_demohlm.teleop.record import script_of
+from lerobot_demohlm.teleop.web import protocol
 from tests.helpers.teleop import HeadsetHands, Served, opened, serving, statuses, view_of, wait_for
 
 PAD = """
@@ -201,6 +204,82 @@ def test_a_bare_hand_that_is_lost_stays_as_it_was(served: Served, browser: Any) 
         assert told == [[False, False, 0], [True, True, 1], [False, True, 1], [True, False, 1], [False, False, 1]]
 
 
+PHONE = """
+() => {
+  const c = demohlm.controls, at = (y) => ({ position: { x: 0, y, z: 0 }, orientation: { x: 0, y: 0, z: 0, w: 1 } });
+  const frame = { getViewerPose: () => ({ transform: at(1.2) }) }, touch = { targetRayMode: "screen" };
+  const look = (overlay, sides, sources) => {
+    for (const side of ["left", "right"]) c.touch.hold[side] = sides.includes(side);
+    c.readXR(frame, null, { inputSources: sources, ...(overlay ? { domOverlayState: { type: "screen" } } : {}) });
+    const { hands, walk, head } = c.xr, { device } = c;
+    return [hands.left.engaged, hands.right.engaged, walk[0], head === null, device];
+  };
+  c.touch.sticks.left = [0, -1];
+  const seen = [look(true, [], []), look(true, [], [touch]), look(true, ["left"], [touch]), look(false, [], [touch])];
+  c.touch.sticks.left = [0, 0]; c.touch.hold.left = false; c.xr = null;
+  return seen;
+}
+"""
+SEEN_THROUGH = """
+() => {  // share of the screen where a phone's picture of the room shows
+  document.body.classList.add("ar");
+  document.getElementById("touch").hidden = false;
+  let free = 0, all = 0;
+  for (let x = 4; x < innerWidth; x += 12) for (let y = 4; y < innerHeight; y += 12) {
+    const opaque = document.elementsFromPoint(x, y).some((e) => e.tagName === "CANVAS"
+      || !/, 0\\)$|transparent/.test(getComputedStyle(e).backgroundColor));
+    all++; free += !opaque;
+  }
+  document.body.classList.remove("ar");
+  return free / all;
+}
+"""
+
+
+def test_a_phone_in_ar_is_the_hand_whose_button_is_held_and_shows_the_room(served: Served, browser: Any) -> None:
+    with opened(browser, served.invite()) as page:
+        page.set_viewport_size({"width": 412, "height": 915})
+        assert page.evaluate(PHONE) == [
+            [False, False, 1, True, "phone"],
+            [False, False, 1, True, "phone"],  # a finger on a stick or on the record button takes no hand
+            [True, False, 1, True, "phone"],
+            [False, True, 1, True, "phone"],  # without the page's buttons a finger holds the chosen hand
+        ]
+        assert page.evaluate(SEEN_THROUGH) > 0.6
+
+
+@pytest.mark.parametrize(("screen", "flat"), [(0, True), (90, True), (0, False)])
+@pytest.mark.parametrize("north", [0, 90, 200])
+def test_a_phone_tilts_the_palm_as_it_is_held_wherever_north_is(
+    served: Served, browser: Any, north: int, screen: int, flat: bool
+) -> None:
+    """The top of the screen goes down by 20 degrees: so does the palm's front."""
+    with opened(browser, served.invite(), small=True) as page:
+        turned = page.evaluate(
+            "([north, angle, flat]) => { const c = demohlm.controls;"
+            "Object.defineProperty(screen, 'orientation', { value: { angle }, configurable: true });"
+            "const hold = (b, g) => { dispatchEvent(new DeviceOrientationEvent('deviceorientation',"
+            "  { alpha: north, beta: b, gamma: g })); return c.touchPad().pose; };"
+            "c.touch.tilt = true; c.touch.hold.right = true;"
+            "const seen = flat ? (angle ? [hold(0, 0), hold(0, 20)] : [hold(0, 0), hold(-20, 0)])"
+            "  : [hold(80, 0), hold(60, 0)];"
+            "c.touch.hold.right = false; c.touchPad(); c.touch.tilt = false; return seen; }",
+            [north, screen, flat],
+        )
+        first, second = (protocol._pose("pose", pose)[:3, :3] for pose in turned)
+        rolled, pitched, yawed = poses.rotation_vector(second @ first.T)
+        assert pitched == pytest.approx(math.radians(20.0), abs=1e-6)
+        assert abs(rolled) < 1e-6 and abs(yawed) < 1e-6
+
+
+def test_a_refusal_is_read_in_the_headset(served: Served, browser: Any) -> None:
+    with opened(browser, served.invite(), small=True) as page:
+        page.evaluate("demohlm.session = {}; demohlm.press = document.getElementById('rewind').onclick; void 0")
+        page.evaluate("demohlm.socket.send(JSON.stringify({ type: 'press', button: 'rewind' }))")
+        page.wait_for_function("(demohlm.scene.said || '').startsWith(\"got 'rewind'\")")
+        page.evaluate("demohlm.session = null")
+
+
 def test_two_browsers_and_nothing_overlaps(served: Served, browser: Any) -> None:
     with opened(browser, served.invite()) as page, opened(browser, served.addresses["spectator"]) as other:
         assert not other.is_visible("#record")
@@ -235,6 +314,17 @@ def test_a_headset_engages_again_without_a_jump_and_bare_hands_work(served: Serv
         jumped.append(float(np.abs(target(page, "right") - held).max()))
         print(f"re-engaging moved the target by {1e3 * max(jumped):.3f} mm")
         assert max(jumped) <= 0.002
+        hands.squeeze(False)
+        page.evaluate("headset.quaternion.set(0, Math.sin(0.4), 0, Math.cos(0.4))")  # the operator looks to the left
+        steps(page, 3)
+        hands.squeeze()
+        before, home = target(page, "right")[:3], page.evaluate("demohlm.scene.home[2]")
+        for z in (0.1, 0.0, -0.1):
+            page.evaluate(f"headset.controllers.right.position.set(-0.1, 0.9, {z})")  # ahead
+            steps(page, 2)
+        steps(page, 8)
+        moved = poses.planar(0.0, 0.0, -home)[:3, :3] @ (target(page, "right")[:3] - before)
+        assert moved[0] > 0.2 and np.abs(moved[1:]).max() < 0.02  # where it is seen to go, not where the operator looks
         page.evaluate("headset.controllers.right.connected = false")  # lost
         steps(page, 2)
         page.evaluate("headset.controllers.right.connected = true")

@@ -53,6 +53,8 @@ def test_poses_come_back(angles: tuple[float, ...], position: tuple[float, ...])
         message(head=[0, 0, 0, 0, 0, 0, 0]),
         message(head=[0, 0, 0, 1, 0, 0]),
         message(head=[float("nan")] * 7),
+        message(heading=[0.1]),
+        message(heading=float("inf")),
         message(walk=[1, 2]),
         message(walk="fast"),
         message(hands=[1]),
@@ -75,7 +77,7 @@ def test_numbers_out_of_range_are_clipped() -> None:
     parsed = protocol.parse(message(walk=[9, -9, 0.5], lift=-7))
     assert isinstance(parsed, protocol.Input)
     np.testing.assert_array_equal(parsed.controls.walk, [1.0, -1.0, 0.5])
-    assert parsed.controls.lift == -1.0
+    assert parsed.controls.lift == -1.0 and parsed.controls.heading is None
 
 
 @given(content=JSON)

@@ -116,8 +116,11 @@ def test_an_operators_address_admits_one_browser(served: Served) -> None:
         assert (await client.hear("hello"))["role"] == "operator"
         async with aiohttp.ClientSession() as other, other.get(address) as answer:
             assert answer.status == 403
+            assert "Another device" in await answer.text()
         await client.send(type="invite")
         invited = (await client.hear("invite"))["operator"]
+        async with aiohttp.ClientSession() as other, other.head(invited) as answer:
+            assert answer.status == 405  # who only looks does not use the address up
         async with aiohttp.ClientSession() as other, other.get(invited) as answer:
             assert answer.status == 200
         async with client.http.get(base_of(served)) as answer:  # the first one may load the page again
