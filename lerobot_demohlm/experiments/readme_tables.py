@@ -40,6 +40,8 @@ that vary and of eyes that err say so; what follows is of the plain world, which
 - **Two judges.** Until commit 376a9d4 a neck whose eyes err, as those of `real` worlds do, could turn by up to 1.5 rad
   in the two seconds in which a strict success must stand. Strict rates of `real` worlds at earlier commits are by that
   judge. What it changes has not been measured.
+- **Statistics of before.** Policies at commits before 5b318fa were trained with deviations that were off by some
+  percent, and Diffusion with the state of an idle gripper far out of scale ([docs/policies.md](policies.md)).
 - **Shared starts.** In rows of policies that have no strict number, all tasks are sampled from the same starts.
   Since then `demohlm reproduce` scores each task and region from starts of its own, which nothing else uses.
 - **Scripted demonstrations.** The one demonstration of each task was recorded by a script, not by a person.

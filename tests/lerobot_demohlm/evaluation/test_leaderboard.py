@@ -171,8 +171,12 @@ def test_a_trial_goes_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "A trial" in (output / "README.md").read_text()
     assert main(["leaderboard", "--check", str(output / "result.json")]) == 0
     assert main(call) == 2 and "which exists" in capsys.readouterr().err
-    for name, value in (("successes", 1), ("episodes", 3), ("outcomes", {})):
-        cells = [{**cell, name: value} for cell in found["cells"]]
+    for name, changes in (
+        ("successes", {"successes": 1, "success_strict": success_rate(1, 2)}),
+        ("episodes", {"episodes": 3, "success_strict": success_rate(2, 3), "outcomes": {"success": 2, "fell": 1}}),
+        ("outcomes", {"outcomes": {"success": 1, "fell": 1}}),
+    ):
+        cells = [{**cell, **changes} for cell in found["cells"]]
         told = {key: content for key, content in found.items() if key != "sha256"} | {"cells": cells}
         told["score"] = 0.5 if name == "successes" else round(2 / told["cells"][0]["episodes"], 4)
         edited = output / "edited.json"
