@@ -10,8 +10,9 @@ its outcome is judged where it ends. The rules are the same:
 - dropped, or another of the task's failures: its predicate holds.
 
 The strict success asks for more: it is held, nothing was dropped and nothing was collided with at any time, and the
-robot, told to keep its posture and to stand, does so for two more seconds without a fault. These seconds are no part of
-the episode: the worlds are brought back to where it ended.
+robot, told to keep its posture and to stand, does so for two more seconds without a fault. Nothing that success rests on
+may fall meanwhile, not even to where it stood at first. These seconds are no part of the episode: the worlds are brought
+back to where it ended.
 
 Rollouts measured before this judge counted any touch of an obstacle above 1 N as "collided". So among their episodes
 without success more were "collided", and fewer were "timeout". One that had both collided and dropped an object was
@@ -38,6 +39,7 @@ FALLEN_TILT = math.radians(60.0)  # of the pelvis against the vertical
 COLLISION_N = 60.0  # force between robot and obstacle that counts as a collision
 COLLISION_S = 0.3  # once it has lasted this long
 COLLISION_STEPS = round(COLLISION_S / STEP_DT)
+FALL_M = 0.03  # m that an object is lower after the two seconds; with the condition gone, it was dropped
 _AHEAD = (1.0, 0.0, 0.0)  # m, in the frame "head_camera"
 
 
@@ -129,7 +131,11 @@ class Judge:
 
 
 def _stands(sim: "Simulation", worlds: np.ndarray) -> np.ndarray:
-    """Return which of some worlds (n,) have no fault while the robot stands and keeps its posture for two seconds."""
+    """Return which of some worlds (n,) have no fault while the robot stands and keeps its posture for two seconds.
+
+    An object that is ``FALL_M`` lower at their end was dropped, if the success condition no longer holds: a box that
+    slips a little in the hands is lifted still, and a cube that no hand presses on for a moment has not fallen.
+    """
     before, on_tick, gaze = sim.snapshot(), sim.on_tick, sim.p_camera_gaze
     active = np.zeros(sim.num_worlds, dtype=bool)
     active[worlds], sim.on_tick = True, None
@@ -137,12 +143,18 @@ def _stands(sim: "Simulation", worlds: np.ndarray) -> np.ndarray:
         sim.p_camera_gaze = np.broadcast_to(_AHEAD, gaze.shape)
     commands = sim.command
     commands[:, command.VELOCITY] = 0.0
-    after = Judge(sim)
+    after, heights = Judge(sim), _heights(sim)
     for _ in range(STAND_STEPS):
         after.watch(sim.step(commands, active), active)
+    dropped = ~after.condition & np.any(_heights(sim) < heights - FALL_M, axis=1)
     sim.restore(before)
     sim.on_tick, sim.p_camera_gaze = on_tick, gaze
-    return ~after.faulty[worlds]
+    return ~(after.faulty | dropped)[worlds]
+
+
+def _heights(sim: "Simulation") -> np.ndarray:
+    """Return how high the objects are (N, number of objects) [m]."""
+    return np.stack([sim.pose(entry.name)[:, 2, 3] for entry in sim.task.objects], axis=1)
 
 
 def held(success: Sequence[bool] | np.ndarray) -> bool:

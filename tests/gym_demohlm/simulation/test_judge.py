@@ -131,6 +131,33 @@ def test_a_strict_success_has_no_fault_before_it_and_stands_after_it() -> None:
     sim.close()
 
 
+def test_what_falls_back_to_where_it_stood_was_dropped() -> None:
+    """Boxes in the air, let go: one is to stay there, one may land on the stand, and one is on the stand already.
+
+    None is lower than its start, so only the condition that no longer holds tells of the drop. The last world's
+    condition is lost, too, but nothing of it falls.
+    """
+    lost = np.array([True, False, True])
+    condition = np.ones(3, dtype=bool)
+    sim = Simulation(dataclasses.replace(TASK, success=lambda _: condition.copy()), 3)
+    judge, step = Judge(sim), sim.step
+    for _ in range(HOLD_STEPS):
+        judge.watch(sim.step(np.tile(command.rest(), (3, 1))), np.ones(3, dtype=bool))
+    T_world_box = sim.pose("box")[:2]
+    T_world_box[:, 2, 3] += 0.05
+    sim.set_pose("box", T_world_box, np.arange(2))
+
+    def step_and_lose(commands: np.ndarray, active: np.ndarray) -> StepResult:
+        condition[lost] = False
+        return step(commands, active)
+
+    sim.step = step_and_lose  # type: ignore[method-assign]
+    assert judge.success_held.all()
+    assert judge.strict(np.arange(3)).tolist() == [False, True, True]
+    assert not any(np.any(holds) for holds in sim.failures().values())
+    sim.close()
+
+
 def test_the_neck_stays_while_nobody_looks() -> None:
     """The two seconds of the strict judge: what eyes have told last is in a frame that would turn with the neck."""
     sim = Simulation(dataclasses.replace(TASK, success=lambda sim: np.ones(sim.num_worlds, dtype=bool)))
