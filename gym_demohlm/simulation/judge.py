@@ -10,9 +10,9 @@ its outcome is judged where it ends. The rules are the same:
 - dropped, or another of the task's failures: its predicate holds.
 
 The strict success asks for more: it is held, nothing was dropped and nothing was collided with at any time, and the
-robot, told to keep its posture and to stand, does so for two more seconds without a fault. Nothing that success rests on
-may fall meanwhile, not even to where it stood at first. These seconds are no part of the episode: the worlds are brought
-back to where it ended.
+robot, told to keep its posture and to stand, does so for two more seconds without a fault. Nothing that success rests
+on may fall meanwhile, not even to where it stood at first. These seconds are no part of the episode: the worlds are
+brought back to where it ended.
 
 Rollouts measured before this judge counted any touch of an obstacle above 1 N as "collided". So among their episodes
 without success more were "collided", and fewer were "timeout". One that had both collided and dropped an object was
