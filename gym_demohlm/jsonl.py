@@ -115,13 +115,25 @@ def write(path: Path, lines: Iterable[Mapping[str, Any]]) -> None:
 
 
 def append(path: Path, lines: Iterable[Mapping[str, Any]]) -> None:
-    """Append lines to a file, each handed to the system as soon as it comes; file and folder are made if missing."""
+    """Append lines to a file, each handed to the system as soon as it comes; file and folder are made if missing.
+
+    A line whose end a kill or a full disk has cut off stays as it is, on a line of its own.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
+    with path.open("a+") as file:
+        if not _ends_whole(path):
+            file.write("\n")
         for line in lines:
             file.write(encode(line))
             file.flush()
+
+
+def _ends_whole(path: Path) -> bool:
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - 1))
+        return file.read(1) in (b"", b"\n")
 
 
 def resume[T](kind: type[T], path: Path) -> list[T]:

@@ -5,6 +5,7 @@ flags and their help. The file is imported when its verb is asked for and not be
 at once; what takes long to import is imported by ``run``. A user's mistake is one line on stderr and exit code 2.
 """
 
+import errno
 import importlib
 import sys
 from collections.abc import Sequence
@@ -21,6 +22,8 @@ EXTRAS = {
     "ray": "ray",
 }
 """Modules that come with an extra of the distribution."""
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_BAD_PATH = (errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,8 +38,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DemoHLMError as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    except (IsADirectoryError, NotADirectoryError, FileExistsError, PermissionError) as error:
-        if error.filename is None:
+    except OSError as error:
+        if error.errno in _FULL:
+            print(f"error: got {error.filename or 'a file'} ({error.strerror}); free some space", file=sys.stderr)
+            return 2
+        if error.filename is None or error.errno not in _BAD_PATH:
             raise
         print(f"error: got {error.filename} ({error.strerror}); check the paths of the command", file=sys.stderr)
         return 2

@@ -167,7 +167,7 @@ def trained_task(path: Path, *, or_scored: bool = False) -> str | None:
     trained = _training(path)
     root = (trained.get("dataset") or {}).get("root")
     facts = Path(root) / "meta" / "demohlm.json" if root else None
-    name = json.loads(facts.read_text()).get("task") if facts is not None and facts.is_file() else None
+    name = object_in(facts).get("task") if facts is not None else None
     if name is None and or_scored:
         name = (trained.get("env") or {}).get("task")
     try:
@@ -180,9 +180,24 @@ def _training(path: Path) -> dict[str, Any]:
     """Return the training configuration beside a checkpoint, empty where there is none."""
     file = path / "train_config.json"
     try:
-        return json.loads(file.read_text()) if file.is_file() else {}
+        content = json.loads(file.read_text()) if file.is_file() else {}
     except ValueError as error:
         raise PolicyError(f"{file}, no JSON ({error})", "a training's configuration", "restore or remove it") from error
+    if not isinstance(content, dict):
+        raise PolicyError(f"{file}, damaged", "a training's configuration", "restore or remove it")
+    return content
+
+
+def object_in(file: Path) -> dict[str, Any]:
+    """Return the JSON object that a file of the training dataset holds; empty where it is not there for this user.
+
+    A checkpoint is as good without its dataset, which may be another user's, or damaged.
+    """
+    try:
+        content = json.loads(file.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def _num_train_episodes(trained: dict[str, Any]) -> int | None:
@@ -191,6 +206,6 @@ def _num_train_episodes(trained: dict[str, Any]) -> int | None:
     if dataset.get("episodes"):
         return len(dataset["episodes"])
     info = Path(dataset["root"]) / "meta/info.json" if dataset.get("root") else None
-    if info is None or not info.is_file() or dataset.get("eval_split"):
+    if info is None or dataset.get("eval_split"):
         return None
-    return json.loads(info.read_text())["total_episodes"]
+    return object_in(info).get("total_episodes")

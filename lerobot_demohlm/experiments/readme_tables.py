@@ -42,8 +42,8 @@ that vary and of eyes that err say so; what follows is of the plain world, which
   1.5 rad. What that changes has not been measured. Until commit deca88b a thing could fall back to where it stood: in
   LiftBox an MLP of plain data under `real` has 113 strict successes of 250 instead of 125. In generation nothing
   fell after 159 successes in seven tasks (tuning starts under `real` in R3).
-- **Statistics of before.** Policies at commits before 5b318fa were trained with deviations that were off by some
-  percent, and Diffusion with the state of an idle gripper far out of scale ([docs/policies.md](policies.md)).
+- **Statistics of before.** Policies trained before 5b318fa had deviations that were off by up to a tenth, in CarryBox
+  by more, and Diffusion the state of an idle gripper far out of scale ([docs/policies.md](policies.md)).
 - **Shared starts.** In rows of policies that have no strict number, all tasks are sampled from the same starts.
   Since then `demohlm reproduce` scores each task and region from starts of its own, which nothing else uses.
 - **Scripted demonstrations.** The one demonstration of each task was recorded by a script, not by a person.

@@ -3,7 +3,6 @@
 It acts in RUN only, and begins each run with an empty memory. What a policy gives that is no command is not passed on.
 """
 
-import json
 import signal
 import time
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from gym_demohlm.errors import PolicyError
 from gym_demohlm.registry import get_task
 from gym_demohlm.task import DEFAULT_REGION
 from gym_demohlm.timing import STEP_DT
-from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, act, load_policy, trained_task
+from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy, act, load_policy, object_in, trained_task
 from lerobot_demohlm.hardware import records, robot_observation
 from lerobot_demohlm.hardware.records import Mode
 
@@ -70,10 +69,8 @@ def check_policy(path: Path, task: str, device: str = "cpu", region: str = DEFAU
 
 def _trained_region(path: Path) -> str | None:
     """Return the region of the dataset that a checkpoint was trained on; None where nothing tells it."""
-    config = path / "train_config.json"
-    root = (json.loads(config.read_text()).get("dataset") or {}).get("root") if config.is_file() else None
-    facts = Path(root) / "meta" / "demohlm.json" if root else None
-    return json.loads(facts.read_text()).get("region") if facts is not None and facts.is_file() else None
+    root = (object_in(path / "train_config.json").get("dataset") or {}).get("root")
+    return object_in(Path(root) / "meta" / "demohlm.json").get("region") if root else None
 
 
 class PolicyProcess:

@@ -78,3 +78,13 @@ def test_a_file_of_something_else_is_not_cut(text: str, tmp_path: Path) -> None:
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="check the path"):
         jsonl.read(tmp_path / "nothing.jsonl")
+
+
+def test_a_line_without_its_end_costs_none_that_is_appended(tmp_path: Path) -> None:
+    """A process was killed in the middle of a line: the next one's lines are whole, and its own is named."""
+    path = tmp_path / "lines.jsonl"
+    path.write_text('{"a": 1}\n{"a": 2, "b')
+    jsonl.append(path, [{"a": 3}, {"a": 4}])
+    assert path.read_text() == '{"a": 1}\n{"a": 2, "b\n{"a": 3}\n{"a": 4}\n'
+    jsonl.append(tmp_path / "new" / "lines.jsonl", [{"a": 1}])
+    assert (tmp_path / "new" / "lines.jsonl").read_text() == '{"a": 1}\n'

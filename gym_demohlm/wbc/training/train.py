@@ -99,7 +99,12 @@ def _keep(output: Path, config: TrainConfig, resume: bool) -> None:
     content = {**vars(config.mdp), **vars(config), "reward_table": rewards}
     now = {name: str(value) for name, value in content.items() if name not in _FREE}
     if resume and path.exists():
-        then = json.loads(path.read_text())
+        try:
+            then = json.loads(path.read_text())
+        except ValueError as error:
+            raise SceneError(
+                f"{path}, damaged ({error})", "what the run began with", "remove it to resume with these options"
+            ) from error
         changed = [name for name in sorted(then.keys() | now.keys()) if then.get(name) != now.get(name)]
         for name in changed:
             if name not in _LATER:
@@ -112,7 +117,9 @@ def _keep(output: Path, config: TrainConfig, resume: bool) -> None:
             progress = torch.load(output / "checkpoint.pt", weights_only=True, map_location="cpu")["progress"]
             values = {name: [then.get(name), now[name]] for name in changed}
             jsonl.append(output / "changes.jsonl", [{"steps": progress["steps"], **values}])
-    path.write_text(json.dumps(now, indent=2) + "\n")
+    beside = path.with_suffix(".new")  # a kill leaves the old one or the new one
+    beside.write_text(json.dumps(now, indent=2) + "\n")
+    beside.replace(path)
 
 
 def _start(output: Path, config: TrainConfig, hours: float) -> bool:

@@ -183,7 +183,9 @@ def test_depth_is_that_of_a_ray_and_ids_are_those_of_mujocos_renderer(stage: Sta
     stage.visual.place(stage.qpos, stage.mocap_pos, stage.mocap_quat)
     frame, T_world_optical = stage.visual.depth_and_ids(), stage.visual.camera_pose()
     rows, columns = np.nonzero(np.isin(frame.ids, stage.mesh.geoms))
-    for k in range(0, len(rows), len(rows) // 15):
+    tried = range(0, len(rows), len(rows) // 15)
+    agreed = 0
+    for k in tried:
         ray = stage.visual.intrinsics.unproject(np.array([columns[k], rows[k]], dtype=float), np.array(1.0))
         geom = np.zeros(1, np.int32)
         direction = T_world_optical[:3, :3] @ ray
@@ -191,7 +193,9 @@ def test_depth_is_that_of_a_ray_and_ids_are_those_of_mujocos_renderer(stage: Sta
             stage.scene.model, data, T_world_optical[:3, 3], direction, np.array([1, 1, 1, 0, 0, 0]), 1, -1, geom
         )
         if geom[0] == frame.ids[rows[k], columns[k]]:  # at an edge, a ray may just miss
+            agreed += 1
             assert distance == pytest.approx(float(frame.depth[rows[k], columns[k]]), abs=5e-4)
+    assert agreed > 0.8 * len(tried)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from gym_demohlm.wbc.evaluation import contest, peer
 from gym_demohlm.wbc.evaluation.trial import Disturbance
 from gym_demohlm.wbc.evaluation.trial_commands import CommandRange
 
-_SMALL = {"num_worlds": 2, "seconds": 4.0, "num_threads": 1, "num_seeds": 1}
+_SMALL = {"num_worlds": 2, "seconds": 7.0, "num_threads": 1, "num_seeds": 1}  # in 4 s nobody walks for long
 _INSTALLED = all(importlib.util.find_spec(module) for module in ("holosoma_inference", "onnxruntime"))
 
 
@@ -26,6 +26,7 @@ def test_a_controller_beside_itself_differs_in_nothing() -> None:
     for row in line["rows"]:
         assert row["new"] == row["old"] or math.isnan(row["new"])
         assert math.isnan(row["low"]) or row["low"] == row["high"] == 0.0
+    assert sum(math.isfinite(row["new"]) for row in line["rows"]) > len(line["rows"]) / 2
 
 
 def test_an_ablation_changes_one_setting_and_what_robots_do() -> None:
@@ -33,7 +34,7 @@ def test_an_ablation_changes_one_setting_and_what_robots_do() -> None:
     assert line["controller"] == "without sway"
     velocity = line["rows"][0]
     assert velocity["name"] == "linear_velocity_error"
-    assert velocity["new"] != velocity["old"]
+    assert math.isfinite(velocity["new"]) and velocity["new"] != velocity["old"]
 
 
 def test_parts_that_a_controller_does_not_have_are_skipped() -> None:
@@ -115,6 +116,7 @@ def test_robots_have_the_physics_that_is_asked_for() -> None:
         for name in ("first", "second")
     )
     assert (first["physics"], second["physics"]) == ("first", "second")
-    assert first["rows"][0]["old"] != second["rows"][0]["old"]
+    old = [line["rows"][0]["old"] for line in (first, second)]
+    assert all(map(math.isfinite, old)) and old[0] != old[1]
     with pytest.raises(UnknownNameError, match="second"):
         next(contest.contest(["default", "default"], "velocity", **_SMALL, physics="secnd"))

@@ -93,9 +93,11 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 FILES = ("block.json", "attempts.jsonl", "episodes/data/chunk-000/file-000.parquet", "failures/meta/info.json")
 
 
+@pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_block_is_made_again(
     damage: str,
+    file: str,
     tmp_path: Path,
     begun: Path,
     reference: dict[str, str],
@@ -104,7 +106,6 @@ def test_a_damaged_block_is_made_again(
 ) -> None:
     root = tmp_path / "data"
     shutil.copytree(begun, partial_directory(root))
-    file = random.Random(damage).choice(FILES)
     DAMAGES[damage](partial_directory(root) / "blocks" / "0000004" / file)
     run = opened(root)
     assert list(run.pending_blocks()) == [range(4, 8)]

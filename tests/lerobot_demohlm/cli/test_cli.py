@@ -112,7 +112,7 @@ def test_every_flag_of_before_is_there() -> None:
     count = 0
     for verb, line in surface():
         flag: Flag = flags[verb][line["flag"]]
-        assert "required" if flag.required else written(flag.default) == line["default"], (verb, line)
+        assert ("required" if flag.required else written(flag.default)) == line["default"], (verb, line)
         assert (line["values"] == "nothing") == (flag.value == ""), (verb, line)
         assert (line["values"] == "several") == flag.several, (verb, line)
         assert set(filter(None, line["choices"].split("|"))) <= set(flag.value.split("|")), (verb, line)
@@ -409,3 +409,9 @@ def test_replay_says_that_every_bit_agrees(capsys: pytest.CaptureFixture[str]) -
     code, out, _ = run(capsys, "replay", "--task", "LiftBox")
     assert code == 0
     assert "every bit as recorded" in out
+
+
+def test_a_full_disk_ends_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, said = run(capsys, "results", "--results", str(RESULTS), "--output", "/dev/full")
+    assert code == 2
+    assert said.splitlines()[-1] == "error: got a file (No space left on device); free some space"

@@ -70,8 +70,7 @@ def test_any_frame_can_be_read_alone(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.mp4", [_color(index) for index in range(10)])
     everything = list(videos.read_frames(path))
     for start in (0, 3, 8):
-        for mine, expected in zip(videos.read_frames(path, start, 2), everything[start:], strict=False):
-            np.testing.assert_array_equal(mine, expected)
+        np.testing.assert_array_equal(list(videos.read_frames(path, start, 2)), everything[start : start + 2])
     with pytest.raises(DatasetError, match="frames from 9"):
         list(videos.read_frames(path, 9, 2))
 

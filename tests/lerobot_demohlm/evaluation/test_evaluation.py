@@ -169,6 +169,13 @@ def test_a_policy_of_another_tasks_dataset_is_refused(tmp_path: Path) -> None:
     load_policy(policy, "LiftBox")
     with pytest.raises(PolicyError, match="a policy trained on LiftBox; expected one for PressCube; check --task"):
         load_policy(policy, "PressCube")
+    for file in (facts, facts.with_name("info.json")):
+        for content in ('{"task": "Lift', "[]"):  # damaged: nobody knows
+            file.write_text(content)
+            assert load_policy(policy, "PressCube").num_train_episodes is None
+    (policy / "train_config.json").write_text("[]")
+    with pytest.raises(PolicyError, match=r"train_config\.json, damaged"):
+        load_policy(policy, "PressCube")
 
 
 def test_policy_hash_is_of_what_decides_actions(checkpoint: Path, tmp_path: Path) -> None:

@@ -170,16 +170,6 @@ def test_a_squeeze_stays_a_squeeze(seed: int) -> None:
     np.testing.assert_allclose(step[0], -step[1], atol=1e-12)
 
 
-def test_the_literal_formulas_would_fail() -> None:
-    """What the module's docstring says of the paper's formulas holds: no adaptation, and a lift that sinks."""
-    T_obj = poses.pose([0.4, 0.1, 0.3])
-    T_eef = poses.pose([0.4, 0.2, 0.3])
-    np.testing.assert_allclose(T_eef @ poses.invert(T_obj) @ T_obj, T_eef)
-    lifted = poses.pose([0.4, 0.2, 0.4])
-    literal = T_eef @ poses.invert(lifted @ poses.invert(T_eef))
-    assert literal[2, 3] == pytest.approx(0.2)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_square_box_is_met_at_its_nearest_face(seed: int) -> None:
     """For whatever yaw of the box, the robot turns at most 45 degrees away from facing it."""

@@ -1,6 +1,5 @@
 """Where the head camera was: between measurements, before the first and after the last, while somebody waits."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from gym_demohlm.perception.camera import torso_camera
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.camera_path import CameraPath
 from lerobot_demohlm.hardware.slots import Slot
+from tests.helpers.robot import until
 
 MS = 1_000_000
 
@@ -54,7 +54,7 @@ def test_it_is_followed_while_somebody_waits_for_a_picture(slots: tuple[Slot, Sl
     with CameraPath(*slots) as path:
         for time_ms in range(0, 100, 10):
             slots[0].write(records.record("state", T_odometry_torso=torso(time_ms**2 * MS)), time_ms * MS)
-            time.sleep(0.03)
+            until(lambda time_ns=time_ms * MS: [row[0] for row in path._torso][-1:] == [time_ns], timeout_s=10.0)
         found = path.at(50 * MS)
     assert found is not None
     np.testing.assert_allclose(found, torso(2500 * MS) @ torso_camera(np.zeros(2)), atol=1e-9)
