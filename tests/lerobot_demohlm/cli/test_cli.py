@@ -1,11 +1,13 @@
 """``demohlm`` explains itself, and answers wrong input with one line, exit code 2 and nothing written."""
 
 import csv
+import errno
 import importlib
 import importlib.util
 import json
 import logging
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -411,7 +413,29 @@ def test_replay_says_that_every_bit_agrees(capsys: pytest.CaptureFixture[str]) -
     assert "every bit as recorded" in out
 
 
-def test_a_full_disk_ends_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, said = run(capsys, "results", "--results", str(RESULTS), "--output", "/dev/full")
-    assert code == 2
-    assert said.splitlines()[-1] == "error: got a file (No space left on device); free some space"
+@pytest.mark.parametrize(
+    ("number", "name", "said"),
+    [
+        (errno.ENOSPC, None, "error: got a file (No space left on device); free some space"),
+        (errno.ENOSPC, "a.md", "error: got a.md (No space left on device); free some space"),
+        (errno.EROFS, "a.md", "error: got a.md (Read-only file system); check the paths of the command"),
+        (errno.EIO, "a.md", None),
+        (errno.EACCES, None, None),
+    ],
+)
+def test_what_a_disk_refuses_ends_in_one_line(
+    number: int,
+    name: str | None,
+    said: str | None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(_: list[str]) -> int:
+        raise OSError(number, os.strerror(number), name)
+
+    monkeypatch.setattr(cli, "_run", fail)
+    if said is None:
+        with pytest.raises(OSError, match=os.strerror(number)):
+            cli.main(["results"])
+    else:
+        assert run(capsys, "results") == (2, "", said + "\n")
