@@ -13,8 +13,8 @@ from tests.helpers.paths import REPOSITORY
 
 ORDER = {
     "gym_demohlm": (
-        "errors", "jsonl", "timing", "arithmetic", "poses", "robot", "task", "control", "registry", "variation",
-        "scene", "simulation", "perception", "tasks", "envs", "wbc.evaluation", "wbc.training",
+        "errors", "files", "jsonl", "timing", "arithmetic", "poses", "robot", "task", "control", "registry",
+        "variation", "scene", "simulation", "perception", "tasks", "envs", "wbc.evaluation", "wbc.training",
     ),
     "lerobot_demohlm": (
         "reproducibility", "drawing", "demonstrations", "datasets", "generation", "checks", "policies", "evaluation",

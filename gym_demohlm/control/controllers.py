@@ -16,6 +16,7 @@ import numpy as np
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.whole_body import DEFAULT_NAME, WEIGHTS_FOLDER, Weights, read_arrays
 from gym_demohlm.errors import SceneError, UnknownNameError
+from gym_demohlm.files import replace_text, replacing
 
 DEFAULT = "default"
 MEASURED = WEIGHTS_FOLDER / "measured.jsonl"
@@ -96,9 +97,8 @@ def install(path: Path, folder: Path = WEIGHTS_FOLDER) -> Path:
         SceneError: As ``Weights``: a file that is damaged is not installed.
     """
     there = folder / f"{Weights(path).hash[:HASH_DIGITS]}.npz"
-    partial = there.with_suffix(".partial")
-    partial.write_bytes(path.read_bytes())
-    partial.replace(there)
+    with replacing(there) as beside:
+        beside.write_bytes(path.read_bytes())
     return there
 
 
@@ -108,9 +108,7 @@ def make_default(name: str, folder: Path = WEIGHTS_FOLDER) -> None:
     Raises:
         UnknownNameError: No controller is installed that is called so.
     """
-    partial = folder / f"{DEFAULT_NAME.stem}.partial"
-    partial.write_text(find(name, folder).stem + "\n")
-    partial.replace(folder / DEFAULT_NAME.name)
+    replace_text(folder / DEFAULT_NAME.name, find(name, folder).stem + "\n")
 
 
 def rewrite(weights: Path, output: Path, **changed: Any) -> None:  # noqa: ANN401
@@ -130,9 +128,8 @@ def rewrite(weights: Path, output: Path, **changed: Any) -> None:  # noqa: ANN40
     with np.load(weights, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
-    partial = output.with_suffix(".partial.npz")
-    np.savez(partial, allow_pickle=False, **arrays)
-    partial.replace(output)
+    with replacing(output) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def tune(weights: Path, output: Path, gait: Mapping[str, Any]) -> None:

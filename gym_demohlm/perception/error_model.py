@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from gym_demohlm.errors import SceneError
+from gym_demohlm.files import replace_text
 from gym_demohlm.task import Task
 
 DISTANCE = 0.7  # m, at which ``s`` is 1
@@ -122,7 +123,7 @@ class ErrorModel:
     def write(self, path: Path) -> None:
         """Write the model with its hash."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({**self._content(), "hash": self.hash}, indent=1) + "\n")
+        replace_text(path, json.dumps({**self._content(), "hash": self.hash}, indent=1) + "\n")
 
     def _content(self) -> dict[str, Any]:
         """Return all numbers, without those that are not there."""

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.files import replace_text
 from gym_demohlm.variation.factors import FACTORS, GROUPS, Factor, Range
 
 BEGIN, END = "<!-- factors -->", "<!-- /factors -->"
@@ -46,4 +47,4 @@ def _range(range_: Range) -> str:
 
 if __name__ == "__main__":
     page = Path(sys.argv[1])
-    page.write_text(filled(page.read_text()))
+    replace_text(page, filled(page.read_text()))

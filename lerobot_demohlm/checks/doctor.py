@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, SceneError
+from gym_demohlm.files import replace_text
 from gym_demohlm.registry import all_tasks, get_task
 from lerobot_demohlm.reproducibility import provenance
 from lerobot_demohlm.reproducibility.results import append_result
@@ -281,10 +282,8 @@ def write_digests(path: Path) -> None:
         "parts": portability.parts(),
         "tasks": {name: portability.behaviour(get_task(name)) for name in all_tasks() if name in known},
     }
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_text(json.dumps(content, indent=2) + "\n")
-        partial.replace(path)
+        replace_text(path, json.dumps(content, indent=2) + "\n")
     except OSError as error:
         raise DatasetError(f"{path} ({error})", "a file that may be written", "choose another --write") from error
 

@@ -16,10 +16,11 @@ from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.utils.constants import OBS_ENV_STATE
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.files import replace_text
 from gym_demohlm.registry import get_task
 from gym_demohlm.variation import get_variation
 from lerobot_demohlm.datasets.cameras import PictureFacts, is_video
-from lerobot_demohlm.datasets.facts import read_facts
+from lerobot_demohlm.datasets.facts import read_facts, read_info
 
 TEMPLATE = "card.md.j2"
 FACTS_FOLDER = "facts"
@@ -115,7 +116,7 @@ def is_by_hand(path: Path, meta: LeRobotDatasetMetadata, facts: Mapping[str, Any
 def write_card(root: Path, repo_id: str, facts: Mapping[str, Any]) -> None:
     """Write the card of the dataset at ``root``."""
     meta = LeRobotDatasetMetadata(repo_id, root=root)
-    (root / "README.md").write_text(render_card(meta, repo_id, facts))
+    replace_text(root / "README.md", render_card(meta, repo_id, facts))
 
 
 def write_ready_card(root: Path, repo_id: str, folder: Path) -> Path:
@@ -130,15 +131,16 @@ def write_ready_card(root: Path, repo_id: str, folder: Path) -> Path:
         The card's path.
 
     Raises:
-        DatasetError: There is no such dataset, or another version wrote it.
+        DatasetError: There is no such dataset, it is damaged, or another version wrote it.
     """
     facts = read_facts(root)
+    read_info(root)  # LeRobot does not say what is damaged
     values = card_values(LeRobotDatasetMetadata(repo_id, root=root), repo_id, facts)
     name = get_task(facts["task"]).slug
     kept, card = folder / FACTS_FOLDER / f"{name}.json", folder / f"{name}.md"
     kept.parent.mkdir(parents=True, exist_ok=True)
-    kept.write_text(json.dumps(values, indent=1) + "\n")
-    card.write_text(render_values(values))
+    replace_text(kept, json.dumps(values, indent=1) + "\n")
+    replace_text(card, render_values(values))
     return card
 
 
@@ -149,7 +151,7 @@ def render_ready_cards(folder: Path) -> list[Path]:
         folder: Such as ``dataset_cards``.
 
     Raises:
-        DatasetError: The folder holds no facts.
+        DatasetError: The folder holds no facts, or damaged ones.
     """
     kept = sorted((folder / FACTS_FOLDER).glob("*.json"))
     if not kept:
@@ -157,5 +159,9 @@ def render_ready_cards(folder: Path) -> list[Path]:
     cards = []
     for path in kept:
         cards.append(folder / f"{path.stem}.md")
-        cards[-1].write_text(render_values(json.loads(path.read_text())))
+        try:
+            text = render_values(json.loads(path.read_text()))
+        except (ValueError, TypeError, KeyError, AttributeError, jinja2.UndefinedError) as error:
+            raise DatasetError(f"{path}, damaged ({error})", "the facts of a card", "write the card again") from error
+        replace_text(cards[-1], text)
     return cards

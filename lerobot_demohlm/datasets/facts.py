@@ -49,6 +49,7 @@ ROBOT_TYPE = "unitree_g1"
 FORMAT_VERSION = 1  # of meta/demohlm.json and meta/demohlm_attempts.jsonl
 PERCEPTION_FIT = "perception_fit"
 FACTS_PATH = Path("meta/demohlm.json")
+INFO_PATH = Path("meta/info.json")
 ATTEMPTS_PATH = Path("meta/demohlm_attempts.jsonl")
 _FACT_TYPES = {
     **dict.fromkeys(("task", "task_text", "region", "demonstration_hash", "controller_hash", "model_hash"), str),
@@ -234,6 +235,26 @@ def read_facts(root: Path) -> dict[str, Any]:
     wrong = [name for name, kind in _FACT_TYPES.items() if not isinstance(content.get(name), kind)] or unsound(content)
     if wrong:
         raise DatasetError(f"{path}, damaged ({', '.join(wrong)})", "the facts of a run", "generate the dataset again")
+    return content
+
+
+def read_info(root: Path) -> dict[str, Any]:
+    """Return a dataset's ``meta/info.json``: LeRobot's description of it, with ``features`` and ``total_episodes``.
+
+    Raises:
+        DatasetError: There is no such file, or it is damaged.
+    """
+    path = Path(root) / INFO_PATH
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError as error:
+        raise DatasetError(f"{root} without {INFO_PATH}", "a LeRobot dataset", "check --root") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}, damaged ({error})", "a JSON object", "generate the dataset again") from error
+    kinds = {"features": dict, "total_episodes": int}
+    wrong = [name for name in kinds if not isinstance(content, dict) or not isinstance(content.get(name), kinds[name])]
+    if wrong:
+        raise DatasetError(f"{path}, damaged ({', '.join(wrong)})", "a dataset's facts", "generate the dataset again")
     return content
 
 

@@ -4,7 +4,8 @@ import logging
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.datasets.facts import read_facts
+from gym_demohlm.files import replace_text
+from lerobot_demohlm.datasets.facts import read_facts, read_info
 from lerobot_demohlm.datasets.origin import is_edited, is_generated
 
 _log = logging.getLogger(__name__)
@@ -39,6 +40,7 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
             "push it with LeRobotDataset(...).push_to_hub()",
         )
     facts = read_facts(root)
+    read_info(root)  # LeRobot does not say what is damaged
     require_repo_id(repo_id)
 
     import httpx
@@ -54,7 +56,7 @@ def push(root: Path, repo_id: str, *, private: bool | None = None, branch: str |
     if is_by_hand(card, meta, facts):
         _log.warning("%s is pushed as it is, since it was edited; remove it to have a new one", card)
     else:
-        card.write_text(render_card(meta, repo_id, facts))
+        replace_text(card, render_card(meta, repo_id, facts))
     api = HfApi()
     message = f"{facts['task']}, {facts['region']}: {meta.total_episodes} episodes"
     try:

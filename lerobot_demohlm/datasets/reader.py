@@ -3,7 +3,6 @@
 Episodes are read a few at a time, so the memory it takes does not grow with the dataset.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from gym_demohlm.errors import DatasetError
 from gym_demohlm.task import InitialState
 from lerobot_demohlm.datasets.cameras import is_video
 from lerobot_demohlm.datasets.episode import executed_of
-from lerobot_demohlm.datasets.facts import read_attempts
+from lerobot_demohlm.datasets.facts import read_attempts, read_info
 from lerobot_demohlm.datasets.origin import is_edited, read_origins
 from lerobot_demohlm.datasets.tables import read_table
 from lerobot_demohlm.reproducibility import fingerprint
@@ -68,8 +67,12 @@ def lengths(root: Path) -> dict[int, int]:
 
 
 def has_videos(root: Path) -> bool:
-    """Tell whether a dataset has videos: that of failed attempts has none, whatever its run draws."""
-    return any(map(is_video, json.loads((root / "meta" / "info.json").read_text())["features"].values()))
+    """Tell whether a dataset has videos: that of failed attempts has none, whatever its run draws.
+
+    Raises:
+        DatasetError: ``meta/info.json`` is missing or damaged.
+    """
+    return any(map(is_video, read_info(root)["features"].values()))
 
 
 def attempt_of(root: Path, episode: int) -> int:

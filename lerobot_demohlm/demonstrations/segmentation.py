@@ -21,6 +21,7 @@ from gym_demohlm import poses
 from gym_demohlm.arithmetic import norm
 from gym_demohlm.control import command
 from gym_demohlm.errors import DemonstrationError
+from gym_demohlm.files import replace_text
 from gym_demohlm.robot import g1
 from gym_demohlm.task import DEFAULT_REGION, MotionFrame, Task
 from lerobot_demohlm.demonstrations.demonstration import (
@@ -355,5 +356,5 @@ def write_corrections(demonstration: Demonstration, task: Task, root: Path) -> P
     """
     path = root / CORRECTIONS_PATH
     content = {"segments": [asdict(entry) for entry in segment(demonstration, task)]}
-    path.write_text(json.dumps(content, indent=2) + "\n")
+    replace_text(path, json.dumps(content, indent=2) + "\n")
     return path

@@ -67,6 +67,7 @@ def evaluate(
     }
     setting = setting.limited(len(seeds))  # of all seeds, so that a resumed batch is as wide as it was
     found = {rollout.seed: rollout for rollout in resumed_rollouts(output, header)}
+    jsonl.append(output, [])  # a file that cannot be written is found before the first rollout
     pending = [batch for batch in setting.batches(seeds) if not found.keys() >= set(batch)]
     with tqdm(total=len(seeds), initial=sum(seed in found for seed in seeds), desc="rollouts", unit="episode") as bar:
         for batch in _until(deadline, roll_batches(loaded, setting, pending, on_step=on_step)):

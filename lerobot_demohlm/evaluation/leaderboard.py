@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.files import replace_text
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.evaluation.evaluate import evaluate, read_rollouts, success_rate, summarize
 from lerobot_demohlm.evaluation.loaded_policy import LoadedPolicy
@@ -93,10 +94,8 @@ def run(
             "versions": provenance.bit_versions(),
         }
     )
-    (output / CARD).write_text(card(result))
-    written = output / f"{RESULT}.tmp"
-    written.write_text(json.dumps(result, indent=2) + "\n")
-    written.rename(output / RESULT)  # so that a result that is there is whole
+    replace_text(output / CARD, card(result))
+    replace_text(output / RESULT, json.dumps(result, indent=2) + "\n")
     return result
 
 

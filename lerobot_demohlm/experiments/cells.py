@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from gym_demohlm.errors import DatasetError, NoSuccessError
+from gym_demohlm.files import replace_text
 from lerobot_demohlm.datasets.facts import count_attempts, read_attempts, read_facts
 from lerobot_demohlm.evaluation.evaluate import evaluate
 from lerobot_demohlm.evaluation.loaded_policy import load_policy
@@ -225,6 +226,4 @@ def _train(cell: Cell, dataset: Path, layout: Layout, effort: Effort) -> None:
         "train_samples_per_s": round(samples / elapsed),
         "train_device": effort.device,
     }
-    temporary = end.with_suffix(".tmp")
-    temporary.write_text(json.dumps(times) + "\n")
-    temporary.rename(end)
+    replace_text(end, json.dumps(times) + "\n")

@@ -8,6 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from gym_demohlm.errors import DatasetError
+from gym_demohlm.files import replace_text
 from lerobot_demohlm.datasets.variation import DataVariation
 from lerobot_demohlm.experiments import paper, robustness, varied_tables
 from lerobot_demohlm.experiments.lines import (
@@ -164,7 +165,7 @@ def write_results(output: Path, results: Path) -> bool:
     page = results_page(results)
     changed = not output.exists() or output.read_text() != page
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(page)
+    replace_text(output, page)
     return changed
 
 
@@ -206,5 +207,5 @@ def update_page(page: Path, results: Path) -> bool:
     if not any(f"<!-- {name} -->" in text for name in MARKED):
         known = " or ".join(f"<!-- {name} --> and <!-- /{name} -->" for name in MARKED)
         raise DatasetError(f"{page.name} without markers", known, "put them where the table belongs")
-    page.write_text(text)
+    replace_text(page, text)
     return text != before

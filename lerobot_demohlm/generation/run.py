@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from gym_demohlm.errors import DatasetError, NoSuccessError
+from gym_demohlm.files import replace_text
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.datasets.facts import (
     GenerationFacts,
@@ -117,9 +118,7 @@ class GenerationRun:
         if path.exists():
             _require_same_facts(path, self.facts)
         else:
-            temporary = path.with_suffix(".tmp")
-            temporary.write_text(json.dumps(_begun_with(self.facts), indent=2) + "\n")
-            temporary.rename(path)
+            replace_text(path, json.dumps(_begun_with(self.facts), indent=2) + "\n")
         for block in sorted((self.directory / "blocks").iterdir()):
             if block.name.startswith("."):
                 shutil.rmtree(block, ignore_errors=True)

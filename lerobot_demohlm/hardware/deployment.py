@@ -26,6 +26,7 @@ from typing import Any, Self
 import numpy as np
 
 from gym_demohlm.control import controllers
+from gym_demohlm.files import replace_text
 from gym_demohlm.registry import get_task
 from lerobot_demohlm.evaluation.loaded_policy import policy_hash
 from lerobot_demohlm.hardware import records
@@ -291,10 +292,8 @@ class Deployment:
             "pose_source": settings.pose_source, **self._identity,
             "mode": self.mode.name if ended else None, "reason": self.reason if ended else "",
         }  # fmt: skip
-        partial = root / f"{FACTS}.partial"
         try:
-            partial.write_text(json.dumps(facts, indent=1) + "\n")
-            os.replace(partial, root / FACTS)
+            replace_text(root / FACTS, json.dumps(facts, indent=1) + "\n")
         except OSError:
             return  # a full disk; the recorder has said so
 

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gym_demohlm.files import replacing
 from lerobot_demohlm.hardware import records
 
 ROWS = 100  # a file: two seconds
@@ -86,10 +87,9 @@ class Recorder:
     def _write(self) -> None:
         """Write a file; on failure say so and forget its rows, or memory would fill up too."""
         path = self._root / f"slots-{self._files:05d}.parquet"
-        partial = path.with_suffix(".partial")
         try:
-            pq.write_table(pa.Table.from_pylist(self._rows), partial, compression="zstd")
-            os.replace(partial, path)
+            with replacing(path) as beside:
+                pq.write_table(pa.Table.from_pylist(self._rows), beside, compression="zstd")
         except OSError as error:
             self._failed = os.strerror(error.errno) if error.errno else str(error)
         else:

@@ -6,13 +6,13 @@ see pictures and the robot's state, but not where objects are; the latter is for
 preset is here and nowhere else.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gym_demohlm.errors import PolicyError, UnknownNameError
+from lerobot_demohlm.datasets.facts import INFO_PATH, read_info
 
 if TYPE_CHECKING:  # importing them takes seconds, which `demohlm --help` does not have
     from lerobot.configs import PolicyFeature, PreTrainedConfig
@@ -213,12 +213,12 @@ def input_features(dataset_root: Path, sees: bool) -> "dict[str, PolicyFeature] 
 
     Raises:
         PolicyError: It is to see, and there are no colour pictures.
+        DatasetError: The dataset is damaged.
     """
     from lerobot.configs import FeatureType, PolicyFeature
     from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
 
-    path = dataset_root / "meta" / "info.json"
-    table = json.loads(path.read_text())["features"] if path.is_file() else {}
+    table = read_info(dataset_root)["features"] if (dataset_root / INFO_PATH).exists() else {}
     pictures = {key: entry for key, entry in table.items() if entry["dtype"] == "video"}
     if not pictures and not sees:
         return None
@@ -307,6 +307,7 @@ def train_config(
     Raises:
         UnknownNameError: No such policy or preset.
         PolicyError: Fewer than one step or episode, or a seed out of range.
+        DatasetError: The dataset is damaged.
     """
     from lerobot.configs.default import DatasetConfig
     from lerobot.configs.train import TrainPipelineConfig

@@ -5,13 +5,12 @@ The checkpoint is an ordinary one of ``lerobot-train``, and ``lerobot-train --co
 as many threads (``OMP_NUM_THREADS``); ACT's bits depend on their number.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gym_demohlm.errors import DatasetError
-from lerobot_demohlm.datasets.facts import require_new_root
+from lerobot_demohlm.datasets.facts import read_info, require_new_root
 from lerobot_demohlm.policies.devices import require_device
 from lerobot_demohlm.policies.presets import PRESETS, train_config
 
@@ -96,7 +95,7 @@ def require_episodes(dataset_root: Path, num_episodes: int | None) -> None:
     """Raise ``DatasetError`` where a dataset has fewer episodes than are to be trained on."""
     if num_episodes is None:
         return
-    available = json.loads((dataset_root / "meta/info.json").read_text())["total_episodes"]
+    available = read_info(dataset_root)["total_episodes"]
     if num_episodes > available:
         raise DatasetError(f"num_episodes={num_episodes}", f"at most the {available} of {dataset_root}", "lower it")
 

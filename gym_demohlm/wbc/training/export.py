@@ -13,6 +13,7 @@ from gym_demohlm.control import features, reference
 from gym_demohlm.control.settings import Settings
 from gym_demohlm.control.whole_body import WEIGHTS_FORMAT, read_arrays
 from gym_demohlm.errors import SceneError
+from gym_demohlm.files import replacing
 from gym_demohlm.timing import CONTROL_DT
 from gym_demohlm.wbc.training.mirror_model import MirrorModel
 
@@ -85,6 +86,5 @@ def export_weights(
         **facts,
     }
     arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), dtype=np.uint8)
-    partial = path.with_suffix(".partial.npz")
-    np.savez(partial, allow_pickle=False, **arrays)
-    partial.replace(path)
+    with replacing(path) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)

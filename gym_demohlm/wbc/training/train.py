@@ -26,6 +26,7 @@ from gym_demohlm import jsonl
 from gym_demohlm.control import features
 from gym_demohlm.control.whole_body import read_arrays
 from gym_demohlm.errors import DemoHLMError, SceneError
+from gym_demohlm.files import replace_text, replacing
 from gym_demohlm.wbc.training.export import export_weights, import_weights
 from gym_demohlm.wbc.training.mirror_model import MirrorModel
 from gym_demohlm.wbc.training.train_config import TrainConfig, ppo_config
@@ -117,9 +118,7 @@ def _keep(output: Path, config: TrainConfig, resume: bool) -> None:
             progress = torch.load(output / "checkpoint.pt", weights_only=True, map_location="cpu")["progress"]
             values = {name: [then.get(name), now[name]] for name in changed}
             jsonl.append(output / "changes.jsonl", [{"steps": progress["steps"], **values}])
-    beside = path.with_suffix(".new")  # a kill leaves the old one or the new one
-    beside.write_text(json.dumps(now, indent=2) + "\n")
-    beside.replace(path)
+    replace_text(path, json.dumps(now, indent=2) + "\n")
 
 
 def _start(output: Path, config: TrainConfig, hours: float) -> bool:
@@ -166,9 +165,9 @@ def _join(rank: int, output: Path, config: TrainConfig, hours: float, meeting: s
     try:
         _work(rank, output, config, hours, f"file://{meeting}/store", [])
     except DemoHLMError as error:
-        partial = Path(meeting) / f"{_ERROR}.{rank}"
-        partial.write_bytes(pickle.dumps(error))
-        partial.replace(Path(meeting) / _ERROR)
+        beside = Path(meeting) / f"{_ERROR}.{rank}"
+        beside.write_bytes(pickle.dumps(error))
+        beside.replace(Path(meeting) / _ERROR)
         raise
 
 
@@ -374,9 +373,8 @@ def _iteration(weights: Path) -> int:
 
 
 def _save(runner: OnPolicyRunner, env: MdpVecEnv, output: Path, progress: Progress, config: TrainConfig) -> None:
-    partial = output / "checkpoint.partial"
-    torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, partial)
-    partial.replace(output / "checkpoint.pt")
+    with replacing(output / "checkpoint.pt") as beside:
+        torch.save({**runner.alg.save(), "progress": dict(vars(progress))}, beside)
     facts = {"training_command": "demohlm train-controller", "seed": config.seed, **vars(progress)}
     settings = config.mdp.settings
     export_weights(runner.alg.get_policy(), env.mdp.reference, settings, output / "weights.npz", facts)

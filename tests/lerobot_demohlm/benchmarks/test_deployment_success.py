@@ -66,7 +66,7 @@ def test_what_is_there_is_not_measured_again(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("region", ["R1", "R3"])
 def test_a_seed_is_the_same_start_in_one_process_and_on_the_simulated_robot(region: str) -> None:
     env = gym.make("DemoHLM/LiftBox-v0", region=region)
-    for seed in (0, 3_000_000):
+    for seed in (0, 970_001):
         _, info = env.reset(seed=seed)
         assert info["initial_state"] == get_task("LiftBox").sample(region, np.random.default_rng(seed))
     env.close()

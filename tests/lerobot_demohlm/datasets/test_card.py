@@ -80,3 +80,13 @@ def test_the_card_of_a_dataset_becomes_a_ready_one(small_run: Path, tmp_path: Pa
     assert path == tmp_path / "lift_box.md"
     assert 'LeRobotDataset("user/lift_box")' in path.read_text()
     assert card.render_ready_cards(tmp_path) == [path]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"facts": {}, "features": {}, "ends": []}'])
+def test_damaged_facts_are_named_and_the_card_stays(text: str, tmp_path: Path) -> None:
+    (tmp_path / card.FACTS_FOLDER).mkdir()
+    (tmp_path / card.FACTS_FOLDER / "lift_box.json").write_text(text)
+    (tmp_path / "lift_box.md").write_text("card")
+    with pytest.raises(DatasetError, match=r"lift_box\.json, damaged"):
+        card.render_ready_cards(tmp_path)
+    assert (tmp_path / "lift_box.md").read_text() == "card"

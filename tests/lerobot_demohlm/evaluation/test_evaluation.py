@@ -120,6 +120,16 @@ def test_command_line(checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().err.count("error: ") == 3
 
 
+def test_a_file_that_cannot_be_written_is_said_before_any_rollout(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lerobot_demohlm.evaluation.evaluate.roll_batches", lambda *_, **__: pytest.fail("rolled out"))
+    (tmp_path / "notes").write_text("")
+    there = tmp_path / "notes" / "rollouts.jsonl"
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--task", TASK, "--output", str(there)]) == 2
+    assert f"got {there}" in capsys.readouterr().err
+
+
 def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"config\.json"):
         load_policy(tmp_path, TASK)
