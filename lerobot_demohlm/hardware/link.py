@@ -7,6 +7,7 @@ import socket
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from weakref import WeakSet
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
@@ -76,6 +77,7 @@ class Link:
 
     def __init__(self, interface: str, domain: int = DOMAIN) -> None:
         self.interface, self.domain = check_interface(interface), domain
+        self._ends: WeakSet[Reader | Writer] = WeakSet()
         used = _domains.get(domain)
         if used is not None and used[0] != interface:
             raise RobotError(f"the interface {interface} after {used[0]}", "one interface a process", "start another")
@@ -93,7 +95,9 @@ class Link:
     def reader(self, topic: str, newest: bool = True) -> "Reader":
         """Return a reader of a topic; of the newest message alone, or of every one."""
         made = Topic(self._participant, topic, _TYPES[topic])
-        return Reader(DataReader(self._participant, made, _NEWEST if newest else _EVERY))
+        reader = Reader(DataReader(self._participant, made, _NEWEST if newest else _EVERY))
+        self._ends.add(reader)
+        return reader
 
     def writer(self, topic: str, newest: bool = True) -> "Writer":
         """Return a writer of a topic.
@@ -108,7 +112,9 @@ class Link:
     def _writer(self, topic: str, newest: bool = True) -> "Writer":
         made = Topic(self._participant, topic, _TYPES[topic])
         reliable = Qos(Policy.History.KeepLast(1), Policy.Reliability.Reliable(duration(milliseconds=0)))
-        return Writer(DataWriter(self._participant, made, reliable if newest else _EVERY), _TYPES[topic])
+        writer = Writer(DataWriter(self._participant, made, reliable if newest else _EVERY), _TYPES[topic])
+        self._ends.add(writer)
+        return writer
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -121,7 +127,9 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network; readers and writers are of no use any more."""
+        for end in self._ends:
+            end.close()  # each holds the participant
         del self._participant
 
 
@@ -130,6 +138,10 @@ class Reader:
 
     def __init__(self, reader: DataReader) -> None:
         self._reader = reader
+
+    def close(self) -> None:
+        """End it."""
+        del self._reader
 
     def take(self, most: int = 32) -> list[Any]:
         """Return the messages that have arrived since the last call, oldest first."""
@@ -150,6 +162,10 @@ class Writer:
 
     def __init__(self, writer: DataWriter, kind: Any) -> None:  # noqa: ANN401
         self._writer, self._kind = writer, kind
+
+    def close(self) -> None:
+        """End it."""
+        del self._writer
 
     def send(self, content: bytes) -> None:
         """Send the bytes of a message of fixed layout."""

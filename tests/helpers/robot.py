@@ -1,6 +1,5 @@
-"""DDS domains, waiting, and what a robot tells of itself, for tests of the way to the robot."""
+"""Waiting, and what a robot tells of itself, for tests of the way to the robot."""
 
-import os
 import time
 from collections.abc import Callable
 
@@ -12,15 +11,6 @@ from gym_demohlm.simulation import Simulation
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.odometry import LegOdometry, odometry_camera
 from lerobot_demohlm.hardware.slots import Reading
-
-_made = 0
-
-
-def free_domain() -> int:
-    """Return a DDS domain that no other test of this process, and no other test process, is likely to use."""
-    global _made
-    _made += 1
-    return 20 + (17 * os.getpid() + _made) % 200
 
 
 def until(condition: Callable[[], bool], timeout_s: float, pause_s: float = 0.005) -> None:

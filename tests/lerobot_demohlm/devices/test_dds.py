@@ -4,7 +4,6 @@ Slow ones need a machine that runs in real time.
 """
 
 import json
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +27,12 @@ from lerobot_demohlm.devices.g1 import DemoHLMG1
 from lerobot_demohlm.hardware import records
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
 from lerobot_demohlm.hardware.errors import RobotError
-from lerobot_demohlm.hardware.link import Link
-from lerobot_demohlm.hardware.motion_switcher import MotionSwitcherService, refuse_own_controller
+from lerobot_demohlm.hardware.motion_switcher import refuse_own_controller
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.hardware.slots import Reading
+from tests.helpers.domains import free_domain
 from tests.helpers.lerobot import run
-from tests.helpers.robot import free_domain
+from tests.helpers.own_controller import own_controller
 
 
 class Scripted:
@@ -165,23 +164,12 @@ def test_a_robot_that_does_not_run_yet_stands_on(at_once: None, caplog: pytest.L
 
 def test_a_robot_whose_own_controller_runs_is_refused() -> None:
     pytest.importorskip("cyclonedds")
-    domain, stop = free_domain(), threading.Event()
-    service = MotionSwitcherService(Link("lo", domain), "ai")
-
-    def serve() -> None:
-        while not stop.wait(0.01):
-            service.serve()
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    try:
+    domain = free_domain()
+    with own_controller(domain) as service:
         with pytest.raises(RobotError, match=r"own controller 'ai'.*deploy --release"):
             DdsRobot(DemoHLMG1Config(backend="dds", interface="lo", domain=domain), get_task("LiftBox"))
         service.name = ""
         refuse_own_controller("lo", domain)
-    finally:
-        stop.set()
-        thread.join()
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""A simulated robot in its gantry, in a process of its own."""
+"""A link to nobody, and a simulated robot in its gantry, in a process of its own."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,7 +6,15 @@ from pathlib import Path
 import pytest
 
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
-from tests.helpers.robot import free_domain
+from lerobot_demohlm.hardware.link import Link
+from tests.helpers.domains import free_domain
+
+
+@pytest.fixture
+def link() -> Iterator[Link]:
+    """Yield a link in a DDS domain of its own."""
+    with Link("lo", free_domain()) as made:
+        yield made
 
 
 @pytest.fixture

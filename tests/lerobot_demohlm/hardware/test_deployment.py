@@ -8,6 +8,8 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -23,6 +25,7 @@ from gym_demohlm.errors import DemoHLMError, UnknownNameError
 from lerobot_demohlm.benchmarks.deployment import RobotProcess
 from lerobot_demohlm.cli import deploy, main
 from lerobot_demohlm.evaluation.loaded_policy import policy_hash
+from lerobot_demohlm.hardware import deployment as deployments
 from lerobot_demohlm.hardware import policy_process, pose_process, recorder
 from lerobot_demohlm.hardware.deployment import FACTS, OPERATOR_S, Deployment, _identify
 from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
@@ -31,11 +34,14 @@ from lerobot_demohlm.hardware.faults import Fault, Faults
 from lerobot_demohlm.hardware.layout import LowCmd
 from lerobot_demohlm.hardware.limits import Ages
 from lerobot_demohlm.hardware.link import LOW_CMD, Link
-from lerobot_demohlm.hardware.processes import _make_helper
+from lerobot_demohlm.hardware.processes import GO, _make_helper
 from lerobot_demohlm.hardware.records import Mode
 from lerobot_demohlm.reports.explain.deployment_page import explain_deployment
 from tests.helpers.checkpoints import save_policy
-from tests.helpers.robot import free_domain, until
+from tests.helpers.domains import free_domain
+from tests.helpers.own_controller import own_controller
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.robot import until
 
 LONG = Ages(**dict.fromkeys((field.name for field in dataclasses.fields(Ages)), 1e9))  # no watchdog: any machine
 
@@ -81,13 +87,14 @@ def test_a_deployment_only_brakes_until_it_is_asked_to_stand(
 
 def test_a_foreign_controller_is_heard_and_refused(hanging: tuple[RobotProcess, int]) -> None:
     robot, domain = hanging
-    foreign, stop = Link("lo", domain)._writer(LOW_CMD), threading.Event()
-    message = LowCmd()
+    message, stop = LowCmd(), threading.Event()
     message.seal()
 
     def send() -> None:
-        while not stop.wait(0.02):
-            foreign.send(message.to_bytes())
+        with Link("lo", domain) as link:
+            foreign = link._writer(LOW_CMD)
+            while not stop.wait(0.02):
+                foreign.send(message.to_bytes())
 
     thread = threading.Thread(target=send)
     thread.start()
@@ -104,16 +111,16 @@ def test_policies_that_do_not_fit_are_refused_before_anything_is_sent(
     hanging: tuple[RobotProcess, int], tmp_path: Path
 ) -> None:
     robot, domain = hanging
-    other_features = save_policy(tmp_path / "other", state_size=60)
-    heard, released = Link("lo", domain).reader(LOW_CMD), []
-    with pytest.raises(DemoHLMError, match=r"observation.state \(60,\)"):
-        Deployment(deployed(robot, domain, policy=other_features), lambda: released.append(domain))
-    assert heard.newest() is None and not released, "the robot's own controller is still at work"
-    other_hands = save_policy(tmp_path / "hands")
+    other_features, other_hands = save_policy(tmp_path / "other", state_size=60), save_policy(tmp_path / "hands")
     (other_hands / "train_config.json").write_text('{"env": {"task": "GraspCube"}}')
-    with pytest.raises(DemoHLMError, match="a policy for gripper hands"):
-        Deployment(deployed(robot, domain, policy=other_hands))
-    assert heard.newest() is None
+    with Link("lo", domain) as link:
+        heard, released = link.reader(LOW_CMD), []
+        with pytest.raises(DemoHLMError, match=r"observation.state \(60,\)"):
+            Deployment(deployed(robot, domain, policy=other_features), lambda: released.append(domain))
+        assert heard.newest() is None and not released, "the robot's own controller is still at work"
+        with pytest.raises(DemoHLMError, match="a policy for gripper hands"):
+            Deployment(deployed(robot, domain, policy=other_hands))
+        assert heard.newest() is None
 
 
 @pytest.mark.parametrize(("options", "message"), [
@@ -132,6 +139,81 @@ def test_bad_options_are_one_line(
     assert main(given) == 2
     error = capsys.readouterr().err.strip()
     assert message in error and error.count("\n") == 0 and error.startswith("error: got ")
+
+
+def test_release_stops_the_robots_own_controller_once_the_deployment_asks_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    handed: list[Any] = []
+
+    def refuse(settings: DeploymentSettings, before_control: Any) -> None:
+        handed.append(before_control)
+        raise RobotError("a test", "its end", "nothing")
+
+    monkeypatch.setattr(deployments, "Deployment", refuse)
+    domain = free_domain()
+    given = ["deploy", "--policy", str(tmp_path), "--task", "LiftBox", "--interface", "lo", "--domain", str(domain)]
+    with own_controller(domain) as service:
+        assert main(given) == 2 and "own controller 'ai'" in capsys.readouterr().err and not handed
+        assert main([*given, "--release"]) == 2 and "got a test" in capsys.readouterr().err
+        assert service.name == "ai", "the robot is limp without it: not before all else is ready"
+        handed.pop()()
+        assert service.name == ""
+        for options in ([], ["--release"]):  # none runs
+            assert main([*given, *options]) == 2 and "got a test" in capsys.readouterr().err
+            handed.pop()()
+
+
+def test_the_robot_is_released_when_all_is_ready_but_its_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    happened, refused, made = [], [], []
+
+    def note(deployment: Deployment, *names: str) -> None:
+        made.append(deployment)
+        happened.append((names, (deployment.folder / GO).exists()))
+        if names in refused:
+            raise RobotError("a test", "its end", "nothing")
+
+    def release() -> None:
+        happened.append(("released", (made[-1].folder / GO).exists()))
+
+    monkeypatch.setattr(Deployment, "_start", lambda deployment, name: None)
+    monkeypatch.setattr(Deployment, "_wait_for_ready", note)
+    settings = DeploymentSettings(task="LiftBox", interface="lo", policy=Path(), domain=free_domain())
+    with Deployment(settings, release):
+        assert happened == [(("policy", "pose"), False), ("released", False), (("control",), True)]
+    happened.clear()
+    refused.append(("policy", "pose"))
+    with pytest.raises(RobotError, match="a test"):
+        Deployment(settings, release)
+    assert happened == [(("policy", "pose"), False)]
+
+
+LEFT = """
+import multiprocessing, sys, time
+from lerobot_demohlm.hardware.deployment import Deployment
+from lerobot_demohlm.hardware.deployment_settings import DeploymentSettings
+
+class Left(Deployment):
+    def _start(self, name):
+        self.processes[name] = multiprocessing.get_context("fork").Process(target=time.sleep, args=(20,))
+        self.processes[name].start()
+
+    def _wait_for_ready(self, *names):
+        pass
+
+    def close(self):
+        super().close()
+        print([process.exitcode for process in self.processes.values()], self.folder.exists())
+
+deployment = Left(DeploymentSettings(task="LiftBox", interface="lo", policy=None, domain=int(sys.argv[1])))
+"""
+
+
+def test_a_program_that_ends_without_closing_ends_its_processes() -> None:
+    """They would hold the robot, and the program would wait for them for ever."""
+    call = [sys.executable, "-c", LEFT, str(free_domain())]
+    done = subprocess.run(call, cwd=REPOSITORY, capture_output=True, text=True, timeout=300.0)
+    assert (done.returncode, done.stdout) == (0, f"{[-signal.SIGTERM] * 2} False\n"), done.stderr
 
 
 class Quiet(Deployment):

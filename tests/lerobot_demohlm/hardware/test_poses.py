@@ -31,7 +31,6 @@ from lerobot_demohlm.hardware.pose_process import PoseProcess, PoseSettings, _re
 from lerobot_demohlm.hardware.pose_sources import Look, ServerSource, TagSource, Where, WorldSource, _Seen
 from lerobot_demohlm.hardware.records import Mode
 from tests.helpers.pose_servers import replying, told
-from tests.helpers.robot import free_domain
 
 TASK = get_task("LiftBox")
 
@@ -47,11 +46,10 @@ CALIBRATED = json.dumps(
 )
 
 
-def test_exact_poses_of_another_processes_world_are_those_of_the_environment() -> None:
+def test_exact_poses_of_another_processes_world_are_those_of_the_environment(link: Link) -> None:
     sim = Simulation(TASK)
     for _ in range(4):
         sim.step(command.rest()[None])
-    link = Link("lo", free_domain())
     source, writer = WorldSource(TASK, "exact", link), link.writer(WORLD)
     snapshot, look, until = sim.snapshot(), None, time.monotonic() + 20.0
     state = records.record("state", T_odometry_torso=np.eye(4))

@@ -18,7 +18,6 @@ from lerobot_demohlm.hardware.link import LOW_CMD, Link
 from lerobot_demohlm.hardware.safety import BodyCheck, SafetyFilter, Wanted
 from lerobot_demohlm.hardware.wire_watch import WireWatch
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.robot import free_domain
 
 LIMITS = Limits()
 KP, KD = np.full(NUM_JOINTS, 100.0), np.full(NUM_JOINTS, 3.0)
@@ -126,15 +125,15 @@ def test_demonstrations_pass_the_filter_untouched(name: str) -> None:
     assert touched == []
 
 
-def test_no_process_gets_a_writer_of_commands() -> None:
+def test_no_process_gets_a_writer_of_commands(link: Link) -> None:
     with pytest.raises(RobotError, match="through it"):
-        Link("lo", free_domain()).writer(LOW_CMD)
+        link.writer(LOW_CMD)
 
 
-def test_the_wire_hands_nobody_its_writer() -> None:
+def test_the_wire_hands_nobody_its_writer(link: Link) -> None:
     from lerobot_demohlm.hardware.wire import CommandWire
 
-    wire = CommandWire(Link("lo", free_domain()), SafetyFilter(LIMITS, "rubber"))
+    wire = CommandWire(link, SafetyFilter(LIMITS, "rubber"))
     public = [name for name in dir(wire) if not name.startswith("_")]
     assert sorted(public) == ["damp", "safety", "send"]
 

@@ -11,7 +11,7 @@ from gym_demohlm.registry import get_task
 from lerobot_demohlm.hardware.errors import RobotError
 from lerobot_demohlm.hardware.faults import Faults
 from lerobot_demohlm.hardware.simulated_g1 import SimulatedG1, SimulatedSettings
-from tests.helpers.robot import free_domain
+from tests.helpers.domains import free_domain
 
 
 def test_only_the_robot_may_vary() -> None:
