@@ -12,9 +12,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from huggingface_hub import constants
 from lerobot.datasets import LeRobotDatasetMetadata
 
 from gym_demohlm.errors import DatasetError
+from lerobot_demohlm import cli
 from lerobot_demohlm.datasets.card import is_by_hand, render_card
 from lerobot_demohlm.datasets.facts import read_facts
 from lerobot_demohlm.datasets.hub import push
@@ -26,11 +28,15 @@ REPO = "user/name"
 
 
 class FakeHub(ThreadingHTTPServer):
-    """Keeps one dataset repository: files by path, tags by name; parquet files arrive by LFS, others in the commit."""
+    """Keeps one dataset repository: files by branch and path, and tags by name.
+
+    Parquet files arrive by LFS, others in the commit.
+    """
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.files: dict[str, bytes] = {}
+        self.branches = {"main": self.files}
         self.objects: dict[str, bytes] = {}
         self.tags: dict[str, str] = {}
         self.deleted_tags: list[str] = []
@@ -72,7 +78,10 @@ class Handler(BaseHTTPRequestHandler):
             self.answer(200, {"url": f"{hub.url}/datasets/{REPO}"})
         elif path == "/api/validate-yaml":
             self.answer(200, {"errors": [], "warnings": []})
-        elif path == f"{api}/preupload/main":
+        elif path.startswith(f"{api}/branch/"):
+            hub.branches[path.rsplit("/", 1)[1]] = dict(hub.files)
+            self.answer(200)
+        elif path.startswith(f"{api}/preupload/"):
             names = [entry["path"] for entry in json.loads(body)["files"]]
             modes = [{"path": n, "uploadMode": "lfs" if n.endswith(".parquet") else "regular"} for n in names]
             self.answer(200, {"files": [mode | {"shouldIgnore": False} for mode in modes]})
@@ -82,20 +91,21 @@ class Handler(BaseHTTPRequestHandler):
                 for entry in json.loads(body)["objects"]
             ]
             self.answer(200, {"transfer": "basic", "objects": objects})
-        elif path == f"{api}/commit/main":
+        elif path.startswith(f"{api}/commit/"):
+            files = hub.branches[path.rsplit("/", 1)[1]]
             for line in body.splitlines():
                 entry = json.loads(line)
                 value = entry["value"]
                 if entry["key"] == "file":
-                    hub.files[value["path"]] = base64.b64decode(value["content"])
+                    files[value["path"]] = base64.b64decode(value["content"])
                 elif entry["key"] == "lfsFile":
-                    hub.files[value["path"]] = hub.objects[value["oid"]]
+                    files[value["path"]] = hub.objects[value["oid"]]
                 elif entry["key"] == "deletedFile":
-                    del hub.files[value["path"]]
+                    del files[value["path"]]
             commit = {"commitUrl": f"{hub.url}/datasets/{REPO}/commit/abc", "commitOid": "abc", "hookOutput": ""}
             self.answer(200, commit)
-        elif path == f"{api}/tag/main":
-            hub.tags[json.loads(body)["tag"]] = "main"
+        elif path.startswith(f"{api}/tag/"):
+            hub.tags[json.loads(body)["tag"]] = path.rsplit("/", 1)[1]
             self.answer(200)
         else:
             hub.unexpected.append(f"POST {self.path}")
@@ -107,11 +117,13 @@ class Handler(BaseHTTPRequestHandler):
         self.answer(200)
 
     def do_GET(self) -> None:
-        if self.path.startswith(f"/api/datasets/{REPO}/tree/main"):
-            files = self.server.files.items()
+        api, path = f"/api/datasets/{REPO}", self.path.split("?")[0]
+        if path.startswith(f"{api}/tree/"):
+            files = self.server.branches[path.removeprefix(f"{api}/tree/")].items()
             self.answer(200, [{"type": "file", "path": name, "size": len(data), "oid": "0"} for name, data in files])
-        elif self.path.startswith(f"/api/datasets/{REPO}"):
-            siblings = [{"rfilename": name} for name in self.server.files]
+        elif path.startswith(api):
+            branch = path.partition("/revision/")[2] or "main"
+            siblings = [{"rfilename": name} for name in self.server.branches[branch]]
             self.answer(200, {"id": REPO, "sha": "abc", "siblings": siblings})
         else:
             self.answer(404)  # the client asks for things that a hub may not have
@@ -144,22 +156,33 @@ def root(tmp_path: Path) -> Path:
     return run.root
 
 
-def push_in_subprocess(hub: FakeHub, root: Path, home: Path, times: int = 1) -> subprocess.CompletedProcess[str]:
+def push_in_subprocess(hub: FakeHub, root: Path, home: Path, times: int) -> subprocess.CompletedProcess[str]:
     """Push as the command line does; the hub client reads its environment when it is imported.
 
     Xet, the hub's chunk storage, is switched off: the client then uploads large files by LFS, which is plain HTTP.
     """
     code = (
-        "import sys; from pathlib import Path; from gym_demohlm.errors import DemoHLMError\n"
-        "from lerobot_demohlm.datasets.hub import push\n"
-        "try:\n"
-        "    for _ in range(int(sys.argv[3])): print(push(Path(sys.argv[1]), sys.argv[2]))\n"
-        "except DemoHLMError as error: sys.exit(f'error: {error}')\n"
+        "import sys; from pathlib import Path; from lerobot_demohlm.datasets.hub import push\n"
+        "for _ in range(int(sys.argv[3])): print(push(Path(sys.argv[1]), sys.argv[2]))\n"
     )
     changes = {"HF_ENDPOINT": hub.url, "HF_TOKEN": "hf_secret", "HF_HOME": str(home)}
     changes |= {"HF_HUB_OFFLINE": "0", "HF_HUB_DISABLE_XET": "1"}
     arguments = [sys.executable, "-c", code, str(root), REPO, str(times)]
     return subprocess.run(arguments, env=os.environ | changes, capture_output=True, text=True)
+
+
+@pytest.fixture
+def reached(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> FakeHub:
+    """Return a hub that this process reaches, as far as the hub's client looks at its constants when it is called."""
+    for name, value in {"ENDPOINT": hub.url, "HF_HUB_OFFLINE": False, "HF_HUB_DISABLE_XET": True}.items():
+        monkeypatch.setattr(constants, name, value)
+    monkeypatch.setenv("HF_TOKEN", "hf_secret")
+    return hub
+
+
+def content(root: Path) -> dict[str, bytes]:
+    """Return the files of a dataset as a hub keeps them."""
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def test_push_twice(hub: FakeHub, root: Path, tmp_path: Path) -> None:
@@ -172,14 +195,44 @@ def test_push_twice(hub: FakeHub, root: Path, tmp_path: Path) -> None:
     assert hub.unexpected == []
     assert hub.tags == {"v3.0": "main"}
     assert hub.deleted_tags == ["v3.0"]
-    on_disk = {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
-    assert hub.files == on_disk | {"notes.md": b"old", ".gitattributes": b"old"}
+    assert hub.files == content(root) | {"notes.md": b"old", ".gitattributes": b"old"}
     assert hub.created[0]["type"] == "dataset"
     assert hub.tokens == {"Bearer hf_secret"}
     assert f'LeRobotDataset("{REPO}")' in hub.files["README.md"].decode()  # the card names the repository pushed to
 
 
-def test_a_card_that_was_edited_is_kept(root: Path) -> None:
+def test_a_new_repository_is_public_or_private_as_asked(reached: FakeHub, root: Path) -> None:
+    for options in ([], ["--private"]):
+        assert cli.main(["push", "--root", str(root), "--repo-id", REPO, *options]) == 0
+    assert "visibility" not in reached.created[0], "the account's default"
+    assert reached.created[1]["visibility"] == "private"
+    assert reached.tags == {"v3.0": "main"} and list(reached.branches) == ["main"] and reached.unexpected == []
+
+
+def test_a_branch_is_pushed_to_and_tagged_alone(reached: FakeHub, root: Path) -> None:
+    """Also what an earlier push left there goes there alone."""
+    old = {"data/chunk-000/file-007.parquet": b"old", "notes.md": b"old"}
+    reached.files |= old
+    assert cli.main(["push", "--root", str(root), "--repo-id", REPO, "--branch", "trial"]) == 0
+    assert reached.branches == {"main": old, "trial": content(root) | {"notes.md": b"old"}}
+    assert reached.tags == {"v3.0": "trial"} and reached.unexpected == []
+
+
+def test_a_card_that_was_edited_is_pushed_as_it_is(
+    reached: FakeHub, root: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    card = root / "README.md"
+    edited = card.read_bytes() + b"\nWrite to us.\n"
+    card.write_bytes(edited)
+    push(root, REPO)
+    assert reached.files["README.md"] == card.read_bytes() == edited
+    assert "pushed as it is, since it was edited" in caplog.text
+    card.unlink()
+    push(root, REPO)
+    assert reached.files["README.md"] == card.read_bytes() != edited, "a new one"
+
+
+def test_a_card_that_was_edited_is_known(root: Path) -> None:
     card, meta, facts = root / "README.md", LeRobotDatasetMetadata("local/name", root=root), read_facts(root)
     assert not is_by_hand(card, meta, facts)
     card.write_text(render_card(meta, "another/name", facts))
@@ -190,13 +243,13 @@ def test_a_card_that_was_edited_is_kept(root: Path) -> None:
     assert not is_by_hand(card, meta, facts)
 
 
-def test_refusal_is_one_clear_error(hub: FakeHub, root: Path, tmp_path: Path) -> None:
-    hub.refuse = True
-    done = push_in_subprocess(hub, root, tmp_path / "hf")
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("error: got HfHubHTTPError")
-    assert "403" in done.stderr
+def test_refusal_is_one_clear_error(reached: FakeHub, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reached.refuse = True
+    assert cli.main(["push", "--root", str(root), "--repo-id", REPO]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith("error: got HfHubHTTPError")
+    assert "403" in said
 
 
 def test_bad_arguments_are_refused_before_any_request(root: Path, tmp_path: Path) -> None:
