@@ -8,9 +8,11 @@ import pytest
 
 from lerobot_demohlm import cli
 from tests.helpers import documented
-from tests.helpers.documented import PAGES, REPOSITORY
+from tests.helpers.paths import REPOSITORY, tracked
 
 MIB = 2**20
+DOCS = REPOSITORY / "docs"
+PAGES = (REPOSITORY / "README.md", *sorted(path for path in tracked() if path.parent == DOCS and path.suffix == ".md"))
 NOT_RUN = {
     "controller.md": "training and measuring a controller takes hours; tests/gym_demohlm/wbc does both in small",
     "results.md": "the commands that made the committed results, most of which took hours",
@@ -32,13 +34,6 @@ TO_RUN = [page for page in PAGES if page.name not in NOT_RUN and documented.bloc
 SNIPPETS = [(page, code) for page in PAGES for code in documented.blocks(page.read_text(), "python")]
 
 
-def tracked() -> list[Path]:
-    """Return the files of the repository, as git lists them: those that are kept and new ones that are not ignored."""
-    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    names = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout
-    return [path for name in names.split("\0") if name and (path := REPOSITORY / name).is_file()]
-
-
 def test_readme_is_one_page() -> None:
     text = (REPOSITORY / "README.md").read_text()
     assert len(text.splitlines()) <= 150
@@ -51,7 +46,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     for target in documented.links(text):
         name, _, anchor = target.partition("#")
         file = page if not name else page.parent / name
-        assert file.exists(), f"{page.name} links to {target}"
+        assert file.resolve() in tracked(), f"{page.name} links to {target}"
         if anchor:
             assert anchor in documented.anchors(file.read_text()), f"{page.name} links to {target}"
 
@@ -61,7 +56,7 @@ def test_files_that_are_named_exist(page: Path) -> None:
     """Code in sentences that reads as a path of this repository is one."""
     roots = "gym_demohlm|lerobot_demohlm|lerobot_env_demohlm|tests|examples|results"
     named = re.findall(rf"`((?:{roots})/[\w./*-]*)`", page.read_text())
-    missing = [name for name in named if not list(REPOSITORY.glob(name.rstrip("/")))]
+    missing = [name for name in named if tracked().isdisjoint(REPOSITORY.glob(name.rstrip("/")))]
     assert [name for name in missing if "pile_cubes" not in name] == []  # adding_a_task.md says where to put new files
 
 
@@ -77,14 +72,14 @@ def test_every_picture_is_shown() -> None:
         for target in documented.links(page.read_text())
     }
     pictures = [path for path in tracked() if path.suffix in (".png", ".webp", ".gif", ".svg", ".mp4", ".jpg")]
-    assert [path.name for path in pictures if REPOSITORY / "docs" in path.parents and path.resolve() not in shown] == []
+    assert [path.name for path in pictures if DOCS in path.parents and path.resolve() not in shown] == []
 
 
 def test_the_repository_is_small() -> None:
-    sizes = {path: path.stat().st_size for path in tracked()}
+    sizes = {path: path.stat().st_size for path in tracked() if path.is_file()}
     assert [path for path, size in sizes.items() if size > 10 * MIB] == []
     assert sum(sizes.values()) < 100 * MIB
-    assert [path for path in (REPOSITORY / "docs" / "pictures").iterdir() if path.stat().st_size > 3 * MIB] == []
+    assert [path for path, size in sizes.items() if path.parent == DOCS / "pictures" and size > 3 * MIB] == []
 
 
 @pytest.mark.parametrize(("page", "code"), SNIPPETS, ids=[page.name for page, _ in SNIPPETS])

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[2]
-PAGES = (REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md")))
 ADDRESS = "ADDRESS_OF_THIS_REPOSITORY"  # in the README; tests clone this checkout
 SMALL = {
     "--num-episodes": "3",

@@ -11,7 +11,7 @@ from gym_demohlm.errors import SceneError, UnknownNameError
 from gym_demohlm.wbc.training import rewards
 from gym_demohlm.wbc.training.rewards import REWARDS, Measured, Outcome
 
-_WORLDS = 6
+_WORLDS = 24  # enough for every term to count in one of them
 _SHAPES = {"velocity": 2, "gyro": 3, "joint_velocity": 15, "torque": 15, "touch": 2, "sole_height": 2, "sole_speed": 2}
 _SHAPES |= {"landing_speed": 2, "sole_yaw": 2}
 _SWAPPED = ("touch", "sole_height", "sole_speed", "landing_speed", "sole_yaw")
@@ -26,7 +26,8 @@ def _outcome(seed: int = 0) -> Outcome:
     }
     measured = {name: rng.normal(0, 0.1, size) for name, size in sizes.items()}
     measured["height"] += 0.7
-    measured["touch"] = rng.uniform(0, 600, (_WORLDS, 2)) * (rng.random((_WORLDS, 2)) < 0.6)
+    measured["stance_width"] = rng.uniform(0.0, 0.6, _WORLDS)
+    measured["touch"] = rng.uniform(0, 900, (_WORLDS, 2)) * (rng.random((_WORLDS, 2)) < 0.6)
     for name in ("sole_speed", "landing_speed", "sole_tilt"):
         measured[name] = measured[name] ** 2
     command = rng.normal(0, 0.2, (_WORLDS, 7)) * (rng.random((_WORLDS, 1)) < 0.5) + [0, 0, 0, 0.7, 0, 0, 0]
@@ -70,7 +71,7 @@ def test_a_term_counts_by_its_weight_and_is_the_same_in_a_mirror(name: str) -> N
     once, means = rewards.total(outcome, {name: term})
     twice, _ = rewards.total(outcome, {name: replace(term, weight=2.0)})
     assert once.shape == (_WORLDS,)
-    assert np.isfinite(once).all()
+    assert np.isfinite(once).all() and once.any(), "a term that is 0 shows nothing"
     np.testing.assert_allclose(twice, 2 * once)
     assert means == {name: pytest.approx(once.mean())}
     np.testing.assert_allclose(rewards.total(_mirrored(outcome), {name: term})[0], once, atol=1e-12)
