@@ -127,7 +127,7 @@ def test_a_file_that_cannot_be_written_is_said_before_any_rollout(
     (tmp_path / "notes").write_text("")
     there = tmp_path / "notes" / "rollouts.jsonl"
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--task", TASK, "--output", str(there)]) == 2
-    assert f"got {there}" in capsys.readouterr().err
+    assert f"got {there.parent} (File exists)" in capsys.readouterr().err
 
 
 def test_checkpoints_that_do_not_fit_are_refused(checkpoint: Path, tmp_path: Path) -> None:
